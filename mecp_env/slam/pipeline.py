@@ -161,7 +161,7 @@ class SlamPipeline(SlamParts):
             self._update(around.scan.corners, around.narrow(match), iterate=True)
             self.rooms.arrive_at(found.ids, self.map.features)
             self.map.forget_tracks(self.step_count, self.rooms.resolve)
-        self.recent.remember(around.scan, around.narrow(match), self.rooms.graph(), self.filter)
+        self.recent.remember(around.scan, around.narrow(match), self.rooms.graph(), self.filter, self.guard.is_sure)
         return around.narrow(match), self.filter.belief()
 
     def _map_scan(self, around: Surroundings, seen: Sighting, sharp: bool) -> tuple[Match, Belief]:
@@ -178,7 +178,7 @@ class SlamPipeline(SlamParts):
         floor = seen_floor(painted[0], self.config.sensor)
         self.grid.paint(belief, floor, painted[1], matched, self.map.polygons.polygons, graph)
         still = ScanFeatures(*painted, around.scan.corners, around.scan.wall)
-        self.recent.remember(still, seen.match, graph, self.filter)
+        self.recent.remember(still, seen.match, graph, self.filter, self.guard.is_sure)
         return seen.match, belief
 
     def _extend_map(self, seen: Sighting, around: Surroundings, wide: bool) -> Sighting:

@@ -57,6 +57,11 @@ class PoseGuard:
         """Log-odds of a pose after a scan all of whose beams agree; no scans make it surer."""
         return self.config.weight * (1.0 - self.config.explained_share)
 
+    @property
+    def is_sure(self) -> bool:
+        """True where nothing speaks against the pose since something last spoke for it."""
+        return self.localised and not self.doubts
+
     def follow(self, odometry: Odometry) -> None:
         """Note how far the robot has moved until the pose is searched for, and from then on where nothing is mapped."""
         metres, turn = np.abs(odometry.increments).sum(axis=0).tolist()
@@ -109,7 +114,7 @@ class PoseGuard:
         self._count_doubts(evidence)
         if not self.doubts:
             self.travelled, self.turned, self.familiar = 0.0, 0.0, evidence.familiar
-        if self.astray >= self.config.scans or self.doubts >= self.patience:
+        if self.astray >= self.config.scans:
             self.lose()
         return self.localised and (not self.doubts or evidence.tracked)
 
@@ -119,11 +124,6 @@ class PoseGuard:
         settled = not against and not (self.doubts and evidence.is_silent)
         self.doubts = 0 if settled else self.doubts + against
         self.astray = 0 if settled or evidence.tracked else self.astray + against
-
-    @property
-    def patience(self) -> int:
-        """Scans in a row that contradict the map and agree with those before: a wall was moved, or the map is bent."""
-        return 2 * self.config.scans
 
     def lose(self, anywhere: bool = False) -> None:
         """The pose is wrong; `anywhere`: nothing is known of it, and no pose is near the prediction."""
@@ -177,7 +177,7 @@ class PoseGuard:
     def _is_hopeless(self, landmarks: int) -> bool:
         """True where a search in a map of so few landmarks has taken long enough."""
         least = self.config.least_corners
-        patience = self.patience * (2 if landmarks < least else 10)
+        patience = self.config.scans * (4 if landmarks < least else 20)
         return landmarks < 2 * least and self.doubts >= patience
 
     def settle(self, match: Match) -> int:

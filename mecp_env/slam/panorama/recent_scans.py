@@ -47,6 +47,7 @@ class RecentScan:
     ids: Ints  # (n,) features that its corners are, or NO_ID
     still: Bools  # (n,) which of them are on no dynamic object
     room: int  # before merges are resolved; UNKNOWN_ROOM in a doorway
+    sure: bool  # nothing spoke against the pose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +80,10 @@ class RecentScans:
         return self.config.use == "always" or (self.config.use == "blind" and beams.blind)
 
     def register(self, scan: ScanFeatures, landmark_filter: Filter) -> bool:
-        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree."""
+        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree.
+
+        And a scan of the window was taken at a sure pose: from there on, the robot was tracked.
+        """
         self.registered = None
         if not (self.scans and self.are_used(scan.beams)):
             return False
@@ -93,7 +97,7 @@ class RecentScans:
         cov = found.cov(self.limits) + self.floor
         landmark_filter.update(*marks_seen(found.T_past_now, cov), last.marks)
         self.registered = Registered(int(last.marks[0]), found.T_past_now, cov)
-        return True
+        return any(past.sure for past in self.scans)
 
     def around(
         self, scan: ScanFeatures, graph: RoomGraph, features: FeatureTable, landmark_filter: Filter
@@ -113,8 +117,11 @@ class RecentScans:
             walls.append(recent.surfaces.seen_from(T_now_past))
         return surround(scan, past, walls, self.limits.inside_m)
 
-    def remember(self, scan: ScanFeatures, match: Match, graph: RoomGraph, landmark_filter: Filter) -> None:
-        """Take a scan into the window, if the robot has moved since the newest one; the oldest leaves it."""
+    def remember(self, scan: ScanFeatures, match: Match, graph: RoomGraph, landmark_filter: Filter, sure: bool) -> None:
+        """Take a scan into the window, if the robot has moved since the newest one; the oldest leaves it.
+
+        `sure`: nothing speaks against the pose that it was taken at.
+        """
         if not self.are_used(scan.beams) or not self._moved(landmark_filter):
             return
         marks = np.array([self.next_mark, self.next_mark - 1])
@@ -124,7 +131,8 @@ class RecentScans:
             landmark_filter.remove(marks[:1] if landmark_filter.has(int(marks[0])) else marks[:0])
             return
         room, still = UNKNOWN_ROOM if graph.in_doorway else graph.current, match.reason != Reason.DYNAMIC
-        self.scans.append(RecentScan(marks, scan.beams, self._surfaces(scan), scan.corners, match.ids, still, room))
+        seen = scan.beams, self._surfaces(scan), scan.corners
+        self.scans.append(RecentScan(marks, *seen, match.ids, still, room, sure))
         if len(self.scans) > self.config.scans:
             landmark_filter.remove(self.scans.pop(0).marks)
 

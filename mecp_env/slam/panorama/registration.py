@@ -6,6 +6,7 @@ The prior of the pose holds what the surfaces leave open, as along a corridor; i
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -75,6 +76,14 @@ class Registration:
         """Of the points that agree or do not, those that agree."""
         return len(self.paired) / (len(self.paired) + self.against)
 
+    def score(self, prior: Prior, limits: RegistrationLimits) -> float:
+        """The logarithm of its odds: a group of neighbours that agree or do not counts one, the prior as a Gaussian."""
+        return self.lead / limits.alike_beams - 0.5 * self.nis(prior, limits)
+
+    def is_clear(self, prior: Prior, limits: RegistrationLimits) -> bool:
+        """True when it leaves nothing to try: nearly all points agree, and the prior allows for it well."""
+        return self.share >= limits.clear_share and self.nis(prior, limits) < 0.5 * limits.gate
+
     def is_sound(self, prior: Prior, limits: RegistrationLimits) -> bool:
         """True when nearly all points agree, and when most do and the prior allows for it."""
         if self.share >= limits.clear_share or self.share < limits.least_share:
@@ -97,7 +106,7 @@ class Registration:
 def register(
     past: Surfaces, now: Surfaces, past_beams: MergedScan, prior: Prior, limits: RegistrationLimits
 ) -> Registration | None:
-    """The registration with the largest lead; None where too few points meet, or too few of them agree.
+    """The best registration; None where too few points meet, or too few of them agree.
 
     `prior` is T_past_now (3,) with its covariance (3,3); `past_beams` belong to the past scan in whose frame all is.
     Points on no flat surface are asked only where the others do not suffice, or say what the prior hardly allows:
@@ -106,21 +115,26 @@ def register(
     flat = register_all(past.flat(), now.flat(), past_beams, prior, limits)
     if flat and flat.nis(prior, limits) < 0.5 * limits.gate:
         return flat
-    found = [one for one in (register_all(past, now, past_beams, prior, limits), flat) if one]
-    return min(found, key=lambda one: one.nis(prior, limits), default=None)
+    told = () if flat is None else (flat.T_past_now,)
+    return register_all(past, now, past_beams, prior, limits, told) or flat
 
 
 def register_all(
-    past: Surfaces, now: Surfaces, past_beams: MergedScan, prior: Prior, limits: RegistrationLimits
+    past: Surfaces,
+    now: Surfaces,
+    past_beams: MergedScan,
+    prior: Prior,
+    limits: RegistrationLimits,
+    told: Sequence[Array] = (),
 ) -> Registration | None:
-    """As `register`, of all points alike."""
+    """As `register`, of all points alike; poses that something else has `told` are tried beside turns of the prior."""
     if min(len(past), len(now)) < limits.least_pairs:
         return None
     known, found = (past, index_of(past.points)), list[Registration]()
-    for turn in limits.turns:
-        found += _from(prior[0] + [0.0, 0.0, turn], known, now, past_beams, prior, limits)
-        best = max(found, key=lambda one: one.lead, default=None)
-        if best and best.share >= limits.clear_share:
+    for start in (*told, *(prior[0] + [0.0, 0.0, turn] for turn in limits.turns)):
+        found += _from(start, known, now, past_beams, prior, limits)
+        best = max(found, key=lambda one: one.score(prior, limits), default=None)
+        if best and best.is_clear(prior, limits):
             break
     return best if best and best.is_sound(prior, limits) else None
 

@@ -94,9 +94,25 @@ def test_what_the_prior_hardly_allows_is_compared_with_a_registration_of_all_poi
     past = replace(past, normals=past.normals * (np.arange(len(past)) % 3 > 0)[:, None])  # a third is not flat
     turns = {len(past.flat()): turn_of_flat, len(past): turn_of_all}
 
-    def told(past, now, past_beams, prior, limits):
+    def register_all(past, now, past_beams, prior, limits, told=()):
         turn = turns[len(past)]
-        return None if turn is None else Registration(np.array([0.0, 0.0, turn]), 1e6 * np.eye(3), np.arange(50), 0)
+        return None if turn is None else told_turn(turn, 50)
 
-    monkeypatch.setattr(registration, "register_all", told)
+    monkeypatch.setattr(registration, "register_all", register_all)
     assert register(past, past, beams, (np.zeros(3), PRIOR), LIMITS).T_past_now[2] == expected
+
+
+def told_turn(turn, paired, against=0):
+    return Registration(np.array([0.0, 0.0, turn]), 1e6 * np.eye(3), np.arange(paired), against)
+
+
+@pytest.mark.parametrize(("paired", "expected"), [(170, 1.0), (110, 0.8)])
+def test_many_more_points_that_agree_outweigh_the_prior(monkeypatch, paired, expected):
+    """Odometry errs by more than a Gaussian: of two registrations far from the prior, points decide, not the nearer."""
+    past, beams = surfaces_and_beams(ROOM, 1)
+
+    def from_start(T, past, now, past_beams, prior, limits):
+        return [told_turn(1.0, paired) if T[2] > 0.3 else told_turn(0.8, 105, 4)]
+
+    monkeypatch.setattr(registration, "_from", from_start)
+    assert register(past, past, beams, (np.zeros(3), PRIOR), replace(LIMITS, turn_rad=1.0)).T_past_now[2] == expected
