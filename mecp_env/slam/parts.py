@@ -106,7 +106,7 @@ class SlamParts:
         self.recent.forget(self.filter)
 
     def register(self, scan: ScanFeatures) -> bool:
-        """Correct the prediction by the window of recent scans; True when it is tracked from a sure pose."""
+        """Correct the prediction by the window of recent scans; True when a scan agrees with them."""
         with self.divergence:
             return self.recent.register(scan, self.filter)
         return False

@@ -64,7 +64,7 @@ def _registered(
     for step, expected, past, now in zip(steps, T_laser, views[:-1], views[1:], strict=True):
         prior = expected, _prior(step)
         one = register_all(past.surfaces, now.surfaces, past.beams, prior, limits) if _is_short(step) else None
-        if one is not None and _size(one.T_past_now[None])[0] > AT_REST:
+        if one is not None and one.is_sound(prior, limits) and _size(one.T_past_now[None])[0] > AT_REST:
             found.append((step, one.T_past_now, one.cov(single)))
     return found
 

@@ -39,6 +39,7 @@ class Evidence(NamedTuple):
     familiar: int = 0  # corners that are landmarks
     sudden: bool = False  # they are less than half as many as in the scan before: odometry may have failed
     many: bool = False  # so many were recognised together that they are no coincidence, even from a rough prediction
+    vouched: bool = False  # it has agreed from scan to scan since the pose was sure, not long ago
     tracked: bool = False  # the scan agrees with those of a moment ago: the pose is right where it was then
 
     @property

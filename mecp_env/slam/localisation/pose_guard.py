@@ -106,7 +106,11 @@ class PoseGuard:
         return Evidence(said, share, sharp, found, sudden, many=found >= many)
 
     def trusts(self, evidence: Evidence) -> bool:
-        """True when the scan may change the map: the robot is localised, and enough speaks for its pose."""
+        """True when the scan may change the map: the robot is localised, and enough speaks for its pose.
+
+        The map may be wrong where a track that is unbroken since the pose was sure contradicts it; one that begins
+        elsewhere is that of a robot that was carried.
+        """
         if not self.localised:
             self.unmapped = self.unmapped if math.isnan(evidence.said.share) else 0.0
             return False
@@ -114,9 +118,9 @@ class PoseGuard:
         self._count_doubts(evidence)
         if not self.doubts:
             self.travelled, self.turned, self.familiar = 0.0, 0.0, evidence.familiar
-        if self.astray >= self.config.scans:
+        if self._gives_up(evidence.vouched):
             self.lose()
-        return self.localised and (not self.doubts or evidence.tracked)
+        return self.is_sure or (self.localised and evidence.vouched)
 
     def _count_doubts(self, evidence: Evidence) -> None:
         """A doubt stays until something speaks for the pose: a scan that does not contradict it may show new floor."""
@@ -124,6 +128,14 @@ class PoseGuard:
         settled = not against and not (self.doubts and evidence.is_silent)
         self.doubts = 0 if settled else self.doubts + against
         self.astray = 0 if settled or evidence.tracked else self.astray + against
+
+    def _gives_up(self, vouched: bool) -> bool:
+        return self.astray >= self.config.scans or (self.doubts >= self.patience and not vouched)
+
+    @property
+    def patience(self) -> int:
+        """Scans that contradict the map and agree with those before them, but with none whose pose was sure."""
+        return 2 * self.config.scans
 
     def lose(self, anywhere: bool = False) -> None:
         """The pose is wrong; `anywhere`: nothing is known of it, and no pose is near the prediction."""
@@ -177,7 +189,7 @@ class PoseGuard:
     def _is_hopeless(self, landmarks: int) -> bool:
         """True where a search in a map of so few landmarks has taken long enough."""
         least = self.config.least_corners
-        patience = self.config.scans * (4 if landmarks < least else 20)
+        patience = self.patience * (2 if landmarks < least else 10)
         return landmarks < 2 * least and self.doubts >= patience
 
     def settle(self, match: Match) -> int:

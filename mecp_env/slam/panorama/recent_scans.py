@@ -47,7 +47,7 @@ class RecentScan:
     ids: Ints  # (n,) features that its corners are, or NO_ID
     still: Bools  # (n,) which of them are on no dynamic object
     room: int  # before merges are resolved; UNKNOWN_ROOM in a doorway
-    sure: bool  # nothing spoke against the pose
+    doubtful: int  # scans up to this one, since the last at a sure pose from which the track is unbroken; 0: this one
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,22 +69,22 @@ class RecentScans:
     scans: list[RecentScan] = field(default_factory=list)
     next_mark: int = FIRST_MARK
     registered: Registered | None = None  # that of the last scan
+    linked: bool = False  # nothing says that the last scan was taken elsewhere
+    vouched: bool = False  # it was registered, and a scan of the window that its track goes back to had a sure pose
 
     def __init__(self, config: SlamConfig) -> None:
         self.config, self.sensor = config.panorama, config.sensor
         self.limits = RegistrationLimits.of(config)
         self.scans, self.next_mark, self.registered = [], FIRST_MARK, None
+        self.linked = self.vouched = False
 
     def are_used(self, beams: MergedScan) -> bool:
         """True for a laser whose scans the window completes."""
         return self.config.use == "always" or (self.config.use == "blind" and beams.blind)
 
     def register(self, scan: ScanFeatures, landmark_filter: Filter) -> bool:
-        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree.
-
-        And a scan of the window was taken at a sure pose: from there on, the robot was tracked.
-        """
-        self.registered = None
+        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree."""
+        self.registered, self.linked, self.vouched = None, False, False
         if not (self.scans and self.are_used(scan.beams)):
             return False
         since, spread = self._poses(self.scans, landmark_filter)
@@ -92,12 +92,14 @@ class RecentScans:
         window = joined_surfaces([past.surfaces.seen_from(T) for past, T in zip(self.scans, poses, strict=True)])
         last, prior = self.scans[-1], (since[-1], spread[-1] + self.floor)
         found = register(window, self._surfaces(scan), last.beams, prior, self.limits)
-        if found is None:
+        self.linked = found is not None and found.is_possible(prior, self.limits)
+        if found is None or not found.is_sound(prior, self.limits):
             return False
-        cov = found.cov(self.limits) + self.floor
+        self.linked, cov = True, found.cov(self.limits) + self.floor
         landmark_filter.update(*marks_seen(found.T_past_now, cov), last.marks)
         self.registered = Registered(int(last.marks[0]), found.T_past_now, cov)
-        return any(past.sure for past in self.scans)
+        self.vouched = last.doubtful < self.config.scans
+        return True
 
     def around(
         self, scan: ScanFeatures, graph: RoomGraph, features: FeatureTable, landmark_filter: Filter
@@ -132,7 +134,7 @@ class RecentScans:
             return
         room, still = UNKNOWN_ROOM if graph.in_doorway else graph.current, match.reason != Reason.DYNAMIC
         seen = scan.beams, self._surfaces(scan), scan.corners
-        self.scans.append(RecentScan(marks, *seen, match.ids, still, room, sure))
+        self.scans.append(RecentScan(marks, *seen, match.ids, still, room, 0 if sure else self._doubtful()))
         if len(self.scans) > self.config.scans:
             landmark_filter.remove(self.scans.pop(0).marks)
 
@@ -149,6 +151,10 @@ class RecentScans:
         turn = max(self.sensor.bearing_sigma_rad / self.limits.alike_beams, self.sensor.least_range_sigma_m)
         floor: Array = np.diag([metres**2, metres**2, turn**2])
         return floor
+
+    def _doubtful(self) -> int:
+        """Of a scan at a doubtful pose: one more than the newest has, if nothing broke the track from there."""
+        return self.scans[-1].doubtful + 1 if self.scans and self.linked else self.config.scans
 
     def _poses(self, scans: list[RecentScan], landmark_filter: Filter) -> tuple[Array, Array]:
         return poses_since(landmark_filter, np.array([scan.marks for scan in scans]))

@@ -90,6 +90,10 @@ class Registration:
             return self.share >= limits.clear_share
         return self.nis(prior, limits) < limits.gate
 
+    def is_possible(self, prior: Prior, limits: RegistrationLimits) -> bool:
+        """True when most points agree where the prior expects it: no sign of another place."""
+        return self.lead > 0 and self.nis(prior, limits) < 0.5 * limits.gate
+
     def nis(self, prior: Prior, limits: RegistrationLimits) -> float:
         """Normalised innovation squared: how far it is from the prior, by the covariance of both."""
         off = self.T_past_now - prior[0]
@@ -106,17 +110,22 @@ class Registration:
 def register(
     past: Surfaces, now: Surfaces, past_beams: MergedScan, prior: Prior, limits: RegistrationLimits
 ) -> Registration | None:
-    """The best registration; None where too few points meet, or too few of them agree.
+    """The best registration, sound or not; None where too few points meet.
 
     `prior` is T_past_now (3,) with its covariance (3,3); `past_beams` belong to the past scan in whose frame all is.
     Points on no flat surface are asked only where the others do not suffice, or say what the prior hardly allows:
     where a wall leaves the laser's range, or is seen at a glancing angle, they move with the robot.
     """
-    flat = register_all(past.flat(), now.flat(), past_beams, prior, limits)
+    flat = _sound(register_all(past.flat(), now.flat(), past_beams, prior, limits), prior, limits)
     if flat and flat.nis(prior, limits) < 0.5 * limits.gate:
         return flat
     told = () if flat is None else (flat.T_past_now,)
-    return register_all(past, now, past_beams, prior, limits, told) or flat
+    every = register_all(past, now, past_beams, prior, limits, told)
+    return _sound(every, prior, limits) or flat or every
+
+
+def _sound(found: Registration | None, prior: Prior, limits: RegistrationLimits) -> Registration | None:
+    return found if found and found.is_sound(prior, limits) else None
 
 
 def register_all(
@@ -130,13 +139,13 @@ def register_all(
     """As `register`, of all points alike; poses that something else has `told` are tried beside turns of the prior."""
     if min(len(past), len(now)) < limits.least_pairs:
         return None
-    known, found = (past, index_of(past.points)), list[Registration]()
+    known, found, best = (past, index_of(past.points)), list[Registration](), None
     for start in (*told, *(prior[0] + [0.0, 0.0, turn] for turn in limits.turns)):
         found += _from(start, known, now, past_beams, prior, limits)
         best = max(found, key=lambda one: one.score(prior, limits), default=None)
         if best and best.is_clear(prior, limits):
             break
-    return best if best and best.is_sound(prior, limits) else None
+    return best
 
 
 def _from(

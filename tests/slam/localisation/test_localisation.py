@@ -292,6 +292,20 @@ def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
     assert not guard.trusts(seen(1.0, 1.0))  # only a search ends it
 
 
+def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
+    """A map that is bent or a wall that was moved contradicts it; a track that began elsewhere is a carried robot's."""
+    broken = seen(0.3, 0.1)._replace(tracked=True)
+    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    assert all(guard.trusts(broken._replace(vouched=True)) for _ in range(20))
+    assert not guard.trusts(broken)
+    assert not guard.localised
+    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    assert not any(guard.trusts(broken) for _ in range(3))
+    assert guard.localised
+    assert not guard.trusts(broken)
+    assert not guard.localised
+
+
 def test_a_doubt_stays_until_something_speaks_for_the_pose():
     """Of two known corners beyond the mapped floor it is unknown where they were seen from."""
     guard, silent = PoseGuard(CONFIG, REACH_M, TURN_RAD), seen(math.nan, math.nan)

@@ -121,3 +121,15 @@ def test_the_error_is_as_large_as_the_covariance_says():
         for _, output, _, error in scripted_drive(seed=10 + seed, **HALF).run(half()):
             nees.append(error @ np.linalg.solve(output.belief.pose_cov, error))
     assert np.mean(nees) < 4.0
+
+
+def test_a_robot_that_is_carried_maps_nothing_at_the_wrong_place(drive):
+    """Its second scan there is registered with the first, which says nothing of where both are."""
+    *_, (pipeline, *_) = drive.run(half())
+    features = len(pipeline.map.features)
+    for step in range(5, 9):
+        output = pipeline.step(drive.odometry[step], drive.scans[step])
+        assert pipeline.recent.registered is not None or step == 5
+        assert not pipeline.recent.vouched or output.localised
+        assert len(pipeline.map.features) == features
+    assert not output.localised

@@ -72,7 +72,9 @@ def test_a_corridor_leaves_its_length_open():
 
 def test_another_place_is_refused():
     other = ring((-1.0, -4.0), (1.2, -4.0), (1.2, 5.0), (-1.0, 5.0))
-    assert registered(ROOM, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), other=other) is None
+    found = registered(ROOM, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), other=other)
+    assert not found.is_sound((np.zeros(3), PRIOR), LIMITS)
+    assert not found.is_possible((np.zeros(3), PRIOR), LIMITS)
 
 
 def test_a_pedestrian_moves_nothing():
