@@ -8,12 +8,12 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-DRAFT_DPI = 40
+DRAFT_DPI = 60
 
 
 @pytest.fixture(scope="package", autouse=True)
 def draft_figures() -> Iterator[None]:
-    """Figures of few pixels; tests of the pictures themselves are in tests/render."""
+    """Figures of few pixels, as many as a test asks for; tests of the pictures themselves are in tests/render."""
     savefig = Figure.savefig
 
     def save(figure: Figure, *where: Any, dpi: float = DRAFT_DPI, **more: Any) -> None:
