@@ -1,4 +1,4 @@
-"""Commands draw their figures in few pixels: to compute these is most of the time of many a command."""
+"""Figures of few pixels, for tests of what else a command does: to compute pixels is most of its time."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from matplotlib.figure import Figure
 DRAFT_DPI = 60
 
 
-@pytest.fixture(scope="package", autouse=True)
+@pytest.fixture(scope="module")
 def draft_figures() -> Iterator[None]:
-    """Figures of few pixels, as many as a test asks for; tests of the pictures themselves are in tests/render."""
+    """Every figure has at most `DRAFT_DPI` dots per inch."""
     savefig = Figure.savefig
 
     def save(figure: Figure, *where: Any, dpi: float = DRAFT_DPI, **more: Any) -> None:
