@@ -20,6 +20,7 @@ def test_runs_are_the_golden_ones(case):
     assert run_hashes(case) == hashes[case], f"results changed: if meant, `python -m tests.golden {case} --write`"
 
 
+@pytest.mark.slow
 def test_processes_and_blas_threads_do_not_change_a_bit():
     outputs = []
     for threads in ("1", "2"):

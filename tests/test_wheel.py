@@ -17,6 +17,7 @@ ROOT = Path(__file__).parent.parent
 LEARNS = importlib.util.find_spec("torch") is not None
 needs_torch = pytest.mark.skipif(not LEARNS, reason="the extra `rl` is not installed")
 MOST_BYTES = 5_000_000
+pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -53,25 +54,21 @@ def test_the_package_is_that_of_the_wheel(home: Path) -> None:
     assert where.startswith(str(home))
 
 
-@pytest.mark.slow
 def test_an_explorer(home: Path) -> None:
     assert "no goal is left" in call(home, "mecp-env", "explore", "nearest", "--layout", "two_rooms")
 
 
-@pytest.mark.slow
 def test_a_replay(home: Path) -> None:
     call(home, "mecp-env", "demo", "--layout", "two_rooms", "--config.max-steps", "60", "--out", "my run")
     assert (home / "my run/replay.html").stat().st_size > 20_000
 
 
-@pytest.mark.slow
 @needs_torch
 def test_the_trained_policy(home: Path) -> None:
     words = ("evaluate", "gain", "maskable_ppo", "--difficulty", "hard", "--episodes", "1", "--max-steps", "30")
     assert "maskable_ppo" in call(home, "mecp-env", *words, "--no-truth", "--out", "compared")
 
 
-@pytest.mark.slow
 @needs_torch
 def test_training_and_the_adapter(home: Path) -> None:
     write_config(home / "quick.json", steps=12)

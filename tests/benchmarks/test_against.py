@@ -26,6 +26,7 @@ def temporary(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path
 
 
+@pytest.mark.slow
 @needs_git
 def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
     temporary: Path, monkeypatch: pytest.MonkeyPatch

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from benchmarks import formats
 
 
+@pytest.mark.slow
 def test_a_comparison_has_the_time_of_each_format_and_a_row() -> None:
     figures = {"time": {"PaperMap, goal": formats.compare("PaperMap", "goal", 2)}, "rows": {}}
     times = figures["time"]["PaperMap, goal"]

@@ -38,6 +38,7 @@ def test_what_exceeds_a_bound_is_named(changes: dict[str, Any], fault: str) -> N
     assert (fault or "within their bounds") in soak.report(figures)
 
 
+@pytest.mark.slow
 def test_a_short_run_of_each_kind(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(soak, "COUNT", 2)
     monkeypatch.setattr(soak, "SLICES", 10)

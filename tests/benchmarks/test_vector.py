@@ -43,6 +43,7 @@ def test_the_figures_have_ratios_within_a_round_and_the_gates_name_them(monkeypa
     assert "| batch |" in vector.report({"velocity": kinds})
 
 
+@pytest.mark.slow
 def test_memory_is_that_of_a_process_that_drives_one_kind_only() -> None:
     grown = b"x" * 300_000_000
     assert 150.0 < vector.memory_alone(vector.BATCH, vector.SETTINGS["velocity"], 2) < 300.0

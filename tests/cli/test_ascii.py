@@ -14,6 +14,8 @@ import pytest
 from mecp_env.cli import main as cli
 from tests.command_lines import ROOT
 
+pytestmark = pytest.mark.usefixtures("draft_figures")
+
 LINES = (
     "worlds stats paper",
     "worlds list",

@@ -20,6 +20,8 @@ from tests.cli.pipes import closed_pipe
 from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
 
+pytestmark = pytest.mark.usefixtures("draft_figures")
+
 Said = pytest.CaptureFixture[str]
 FILES = (
     {"map.png", "run.gif", "replay.html", "metrics.json", "trajectory.tum", "truth.tum", "config.json"}

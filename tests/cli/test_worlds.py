@@ -18,6 +18,8 @@ from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.layout import load_layout
 from tests.floorplans import plans
 
+pytestmark = pytest.mark.usefixtures("draft_figures")
+
 Said = pytest.CaptureFixture[str]
 
 

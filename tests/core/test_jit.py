@@ -85,6 +85,7 @@ def test_first_compilation_says_so_in_one_line_and_the_second_process_takes_the_
     assert tree.call() == (4.0, "")
 
 
+@pytest.mark.slow
 def test_another_rule_in_a_called_kernel_in_another_file_is_noticed(tree: Tree) -> None:
     tree.call()
     called = tree.package / "called.py"
@@ -100,6 +101,7 @@ def test_a_constant_of_a_called_kernel_in_another_file_is_noticed(tree: Tree) ->
     assert COMPILING in said
 
 
+@pytest.mark.slow
 def test_a_callee_is_part_of_its_callers_entry_and_python_can_call_it_too(tree: Tree) -> None:
     code = "from mecp_env.caller import caller, called; print(called(1.0), caller(1.0) - 2.0)"
     tree.call()
@@ -109,6 +111,7 @@ def test_a_callee_is_part_of_its_callers_entry_and_python_can_call_it_too(tree: 
     assert tree.call(code) == (2.0, "")
 
 
+@pytest.mark.slow
 def test_what_was_compiled_as_a_part_of_its_caller_is_compiled_again_for_python(tree: Tree) -> None:
     code = "from mecp_env.caller import caller, called; caller(1.0); print(called(1.0), caller(1.0) - 2.0)"
     assert tree.call(code)[0] == 2.0
@@ -116,6 +119,7 @@ def test_what_was_compiled_as_a_part_of_its_caller_is_compiled_again_for_python(
     assert len(tree.entries("nbc")) == 2
 
 
+@pytest.mark.slow
 def test_what_was_loaded_is_linked_into_a_caller_that_is_compiled(tree: Tree) -> None:
     tree.call("from mecp_env.called import called; print(called(1.0), called(1.0))")
     code = "from mecp_env.caller import caller, called; print(called(1.0), caller(1.0) - 2.0)"
@@ -125,6 +129,7 @@ def test_what_was_loaded_is_linked_into_a_caller_that_is_compiled(tree: Tree) ->
     assert tree.call(code) == (2.0, "")
 
 
+@pytest.mark.slow
 def test_numbers_that_are_written_in_calls_make_no_variants(tree: Tree) -> None:
     (tree.package / "caller.py").write_text(CALLER.replace("2.0 * called(x)", "x + called(1) + called(2)"))
     code = "from mecp_env.caller import caller, called; caller(1.0); print(len(called.signatures), 1)"
@@ -142,17 +147,20 @@ def test_a_returned_array_costs_no_call_of_python() -> None:
     assert "_numba_unpickle" not in called
 
 
+@pytest.mark.slow
 def test_a_function_on_the_list_has_an_entry_of_its_own(tree: Tree) -> None:
     (tree.package / "core" / "signatures.json").write_text('[["mecp_env.called", "called", ["float64"]]]')
     tree.call()
     assert len(tree.entries("nbc")) == 2
 
 
+@pytest.mark.slow
 def test_a_damaged_list_is_no_list(tree: Tree) -> None:
     (tree.package / "core" / "signatures.json").write_text("[[")
     assert tree.call()[0] == 4.0
 
 
+@pytest.mark.slow
 def test_an_error_in_a_callee_arrives(tree: Tree) -> None:
     called = tree.package / "called.py"
     raising = "if x < 2.0:\n        raise ValueError('small', x)\n    return x"
@@ -166,6 +174,7 @@ def test_an_error_in_a_callee_arrives(tree: Tree) -> None:
         assert tree.call(code)[0] == 8.0
 
 
+@pytest.mark.slow
 def test_after_a_failed_compilation_the_next_one_is_kept(tree: Tree) -> None:
     code = (
         "from mecp_env.caller import caller; import numba, pytest\n"
@@ -176,13 +185,16 @@ def test_after_a_failed_compilation_the_next_one_is_kept(tree: Tree) -> None:
     assert len(tree.entries("nbc")) == 1
 
 
+@pytest.mark.slow
 def test_an_edit_of_words_compiles_nothing(tree: Tree) -> None:
     tree.call()
     tree.add(1.0, doc="One more than x.\n\n    Now in two lines.")
     assert tree.call() == (4.0, "")
 
 
-@pytest.mark.parametrize("damage", ["truncated", "empty", "zeros"])
+@pytest.mark.parametrize(
+    "damage", ["truncated", *(pytest.param(how, marks=pytest.mark.slow) for how in ("empty", "zeros"))]
+)
 def test_a_damaged_entry_is_compiled_again_and_mended(tree: Tree, damage: str) -> None:
     tree.call()
     for path in tree.entries("nbc"):
@@ -201,6 +213,7 @@ def test_an_unwritable_cache_is_said_and_survived(tree: Tree) -> None:
     assert COMPILING in said
 
 
+@pytest.mark.slow
 def test_without_numba_cache_dir_the_cache_lies_in_the_users_own_directory(tree: Tree, tmp_path: Path) -> None:
     tree.call(NUMBA_CACHE_DIR="", XDG_CACHE_HOME=str(tmp_path / "own"), HOME=str(tmp_path / "own"))
     found = list((tmp_path / "own").rglob("*.nbc"))
@@ -210,6 +223,7 @@ def test_without_numba_cache_dir_the_cache_lies_in_the_users_own_directory(tree:
         assert found[0].parent.stat().st_mode & 0o077 == 0
 
 
+@pytest.mark.slow
 def test_entries_of_long_ago_are_removed_when_something_is_compiled(tree: Tree) -> None:
     tree.call()
     old = tree.entries("nbc")
@@ -252,6 +266,7 @@ def test_the_key_follows_values_that_a_function_reads() -> None:
     assert key(np.array([2.0])) == key(np.array([2.0]))
 
 
+@pytest.mark.slow
 def test_an_entry_that_another_argument_type_left_under_the_same_name_is_not_used(tree: Tree) -> None:
     tree.call()
     (entry,) = tree.entries("nbc")
@@ -262,6 +277,7 @@ def test_an_entry_that_another_argument_type_left_under_the_same_name_is_not_use
     assert tree.call(whole)[0] == 4.0
 
 
+@pytest.mark.slow
 def test_without_the_internals_plain_caching_notices_a_change_in_another_file(tree: Tree) -> None:
     (tree.package / "core" / "jit_cache.py").write_text("raise ImportError\n")
     assert tree.call() == (4.0, "")
@@ -271,6 +287,7 @@ def test_without_the_internals_plain_caching_notices_a_change_in_another_file(tr
     assert tree.call(NUMBA_CACHE_DIR=os.devnull + "/nowhere")[0] == 6.0
 
 
+@pytest.mark.slow
 def test_two_processes_on_a_cold_cache_get_the_same_result(tree: Tree) -> None:
     with ThreadPoolExecutor(2) as pool:
         values = [value for value, _ in pool.map(lambda _: tree.call(), range(2))]
@@ -278,6 +295,7 @@ def test_two_processes_on_a_cold_cache_get_the_same_result(tree: Tree) -> None:
     assert tree.call() == (4.0, "")
 
 
+@pytest.mark.slow
 def test_a_read_only_cache_serves_what_it_has(tree: Tree) -> None:
     """A folder that root may still write to is filled; one that takes no files is read."""
     tree.call()

@@ -128,6 +128,7 @@ def first_use(folder: Path, change: str = "FEW = 1", **environment: str) -> tupl
     return [int(word) for word in done.stdout.split()], done.stderr
 
 
+@pytest.mark.slow
 def test_first_use_announces_compiles_and_leaves_nothing_behind(tmp_path: Path) -> None:
     (wanted, left), written = first_use(tmp_path)
     assert wanted == 2
@@ -165,6 +166,7 @@ def loaded(folder: Path, few: int) -> int:
     return int(subprocess.run(command, env=variables, capture_output=True, text=True, check=True).stdout)
 
 
+@pytest.mark.slow
 def test_what_the_cache_has_is_loaded_and_a_few_missing_functions_are_compiled(tmp_path: Path) -> None:
     assert loaded(tmp_path, few=1) == 0
     assert loaded(tmp_path, few=2) == 1  # compiled

@@ -142,6 +142,7 @@ def test_a_training_that_is_stopped_leaves_no_environment_under_way_and_draws_as
     model.env.close()
 
 
+@pytest.mark.slow
 def test_two_runs_that_continue_from_a_checkpoint_learn_the_same(tmp_path):
     folder, _ = run(tmp_path, workers="batch", steps=12)
     weights = []

@@ -157,6 +157,7 @@ def test_uncertainty_reaches_the_network_unless_it_is_hidden(name, seen):
     np.testing.assert_array_equal(logits(blind, changed), logits(blind, seen[0]))
 
 
+@pytest.mark.slow
 def test_a_run_in_a_task_resumes_and_its_policy_fits_that_observation_only(tmp_path, seen):
     folder, code = run(tmp_path, **SMALL)
     assert code == 0

@@ -36,7 +36,10 @@ def rows(path):
         return list(csv.DictReader(file))
 
 
-@pytest.mark.parametrize("algorithm", ALGORITHMS)
+SLOW_OTHERS = [pytest.param(name, marks=[pytest.mark.slow] * (name != "maskable_ppo")) for name in ALGORITHMS]
+
+
+@pytest.mark.parametrize("algorithm", SLOW_OTHERS)
 def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path):
     folder, code = run(tmp_path, curves=True, algorithm=algorithm)
     assert code == 0
@@ -61,6 +64,7 @@ def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path
         observation, *_ = env.step(action)
 
 
+@pytest.mark.slow
 def test_the_same_seed_trains_the_same_policy(tmp_path):
     folders = []
     for name in ("a", "b"):
@@ -169,6 +173,7 @@ def resumed_after(process):
     raise AssertionError(f"did not resume: {said}")
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_from_its_last_checkpoint(launcher, tmp_path):
     """`kill -9` in the middle of training; the tables have every update once."""
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=48)
@@ -208,7 +213,7 @@ def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
     assert load(folder)
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_and_sigterm_save_and_say_where(number, launcher, tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
     process = start(launcher, "--config", str(config), "--out", str(folder))
@@ -340,7 +345,7 @@ def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsy
     assert load(folder)
 
 
-@pytest.mark.parametrize("workers", ["batch", "processes"])
+@pytest.mark.parametrize("workers", ["batch", pytest.param("processes", marks=pytest.mark.slow)])
 def test_workers_learn_the_same_as_one_process(workers, tmp_path):
     """The placement of the environments changes no bit of the trained weights."""
     checks = []

@@ -86,6 +86,7 @@ def test_an_episode_of_the_teacher_that_fails_is_named(monkeypatch):
         list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
 
 
+@pytest.mark.slow
 def test_lessons_of_processes_are_those_of_one_process():
     config = quick(warm_start={"teacher": "bfs"})
     many = config.model_copy(update={"workers": "batch"})

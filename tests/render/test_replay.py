@@ -188,6 +188,7 @@ def test_a_browser_plays_it_without_complaint(kept: tuple[Path, list[Any]], widt
         assert browser.logged == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_the_pointer_tells_why(kept: tuple[Path, list[Any]]) -> None:
     run = read_page(kept[0])

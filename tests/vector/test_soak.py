@@ -60,6 +60,7 @@ def drive(venv: BatchEnv, steps: int) -> None:
         venv.step(rng.uniform(-1.0, 1.0, (venv.num_envs, 2)).astype(np.float32))
 
 
+@pytest.mark.slow
 def test_steps_and_episodes_cost_no_memory_and_no_files() -> None:
     venv = make_small(4, max_steps=STEPS, autoreset_mode="SameStep")
     venv.reset(seed=0)

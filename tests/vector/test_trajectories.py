@@ -93,7 +93,7 @@ def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
             assert all(row[-1][f"_{key}"][i] for key in single[-1])
 
 
-@pytest.mark.parametrize("kind", ["velocity", "goals in buildings"])
+@pytest.mark.parametrize("kind", ["velocity", pytest.param("goals in buildings", marks=pytest.mark.slow)])
 @pytest.mark.parametrize("autoreset", MODES)
 @pytest.mark.parametrize("mode", ["batch", pytest.param("async", marks=pytest.mark.slow)])
 def test_processes_give_all_that_one_gives_in_every_autoreset_mode(

@@ -1,0 +1,24 @@
+"""Figures of few pixels, for tests of what else a command does: to compute pixels is most of its time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+
+DRAFT_DPI = 60
+
+
+@pytest.fixture(scope="module")
+def draft_figures() -> Iterator[None]:
+    """Every figure has at most `DRAFT_DPI` dots per inch."""
+    savefig = Figure.savefig
+
+    def save(figure: Figure, *where: Any, dpi: float = DRAFT_DPI, **more: Any) -> None:
+        savefig(figure, *where, dpi=min(dpi, DRAFT_DPI), **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Figure, "savefig", save)
+        yield
