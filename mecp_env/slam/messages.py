@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows, row_type
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
 from mecp_env.core.quick import quick
@@ -264,7 +264,7 @@ class FeatureState(IntEnum):
     DEAD = 2
 
 
-FEATURE = np.dtype(  # what is remembered of a feature beside the filter's estimate
+FEATURE = row_type(  # what is remembered of a feature beside the filter's estimate
     [
         ("state", np.int64),  # FeatureState
         ("room", np.int64),  # before merges are resolved

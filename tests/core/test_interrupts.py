@@ -99,7 +99,7 @@ def test_an_interrupt_while_a_function_is_compiled_is_not_lost(monkeypatch: pyte
     function = compiled(add_one)
     with pytest.raises(KeyboardInterrupt):
         function(1.0)
-    assert done == ["deleted"]
+    assert "deleted" in done
     assert function.signatures
 
 
@@ -114,7 +114,7 @@ def add_one(value: float) -> float:
         (["-W", "ignore", "-m", "mecp_env"], True),
         (["/usr/bin/mecp-env"], True),
         (["mecp-env.exe"], True),
-        (["-m", "mecp_env.core.warm_up"], False),
+        (["-m", "mecp_env.cli.exercise"], False),
         (["train.py"], False),
         (["-c"], False),
         ([], False),

@@ -83,7 +83,7 @@ def find_corners(
             count += add_end(ends[count], scan, lines, k, 1, limits, noise)
             count += add_end(ends[count], scan, lines, following, -1, limits, noise)
     found = one_each(ends[:count], line_cov, limits)
-    z, n = found.z.copy(), found.shape[0]
+    z, n = found["z"].copy(), found.shape[0]
     p_robot = polar_to_points(z)
     doorways = find_doorways(found, p_robot, scan, lines, limits, gap_config[0], noise)
     beyond = mark_beyond(found, p_robot, doorways[0], limits.line_m)
@@ -93,7 +93,7 @@ def find_corners(
     sites = np.empty(n, np.bool_)
     for k in range(n):
         sites[k] = found[k].kind != CornerKind.JAMB and beyond[k] < 0
-    rows = z, found.kind.copy(), found.convex.copy(), found.normals.copy()
+    rows = z, found["kind"].copy(), found["convex"].copy(), found["normals"].copy()
     return rows, joint_covariance(found, line_cov), beyond, sites, doorways
 
 
