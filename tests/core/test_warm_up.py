@@ -43,9 +43,7 @@ def test_the_first_use_compiles_and_says_so_in_one_line(
     assert warm_up.SWITCH in record.message
 
 
-def test_the_first_use_can_be_switched_off(
-    cold: Path, driven: list[Any], monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_the_first_use_can_be_switched_off(cold: Path, driven: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv(warm_up.SWITCH, "0")
     warm_up.prepare()
     assert driven == []
