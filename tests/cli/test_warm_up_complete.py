@@ -12,6 +12,9 @@ from pathlib import Path
 import numba
 import pytest
 
+from mecp_env.cli import exercise
+from mecp_env.cli import main as cli
+from mecp_env.core import jit, warm_up
 from tests.command_lines import ROOT
 
 SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32"
@@ -44,7 +47,7 @@ LEARNING = (
     "explore maskable_ppo --steps 60",
 )
 LOST = 1  # exit code where the pose is not found in the map
-FEW = 12  # functions, each for one set of types, that all commands together may compile later
+FEW = 3  # functions, each for one set of types, that all commands together may compile later
 SCRIPT = """
 import json, sys
 import numpy as np
@@ -83,6 +86,30 @@ def test_the_documented_commands_compile_next_to_nothing_after_a_warm_up(tmp_pat
     assert {line: code for line, code in codes.items() if code not in (0, LOST if "unknown" in line else 0)} == {}
     assert len(warm) > 200
     assert len(kept(tmp_path) - warm) <= FEW, sorted(kept(tmp_path) - warm)
+
+
+@pytest.mark.parametrize(
+    ("jobs", "rows"),
+    [("1", [("episode",), ("log",), ("tasks",)]), ("2", [("episode",), ("log", "tasks")])],
+)
+def test_warm_up_takes_as_many_processes_as_it_may(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jobs: str, rows: list[tuple[str, ...]]
+) -> None:
+    driven: list[tuple[str, ...]] = []
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: driven.append(drives))
+    assert cli.main(["warmup", "--jobs", jobs]) == 0
+    assert driven == rows
+    assert "functions compiled" in capsys.readouterr().out
+
+
+def test_warm_up_fails_where_nothing_can_be_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path / "file" / "cache")
+    assert cli.main(["warmup"]) == 1
+
+
+def test_every_drive_of_a_warm_up_exists() -> None:
+    assert set(warm_up.FIRST + warm_up.LATER) == set(exercise.DRIVES)
 
 
 def installed(module: str) -> bool:
