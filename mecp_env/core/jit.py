@@ -27,11 +27,7 @@ import numpy as np
 from mecp_env.core.interrupts import interrupts_later
 
 F = TypeVar("F", bound=Callable[..., Any])
-OPTIONS: dict[str, Any] = {  # no wrapper for C, no test for 0 before every division
-    "nogil": True,
-    "no_cfunc_wrapper": True,
-    "error_model": "numpy",
-}
+OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # no test for 0 before a division
 CHECKSUM = "checksum"
 KEPT = 4  # folders of other sources; the oldest are removed
 
@@ -42,36 +38,43 @@ def compiled(function: F) -> F:
     """`function` compiled on its first call, or taken from the cache; without a cache, compiled in every process."""
     if numba.config.DISABLE_JIT:
         return function
-    if not usable(cache_directory()):
-        return numba.njit(**OPTIONS)(function)  # type: ignore[no-any-return]
-    kept, place = numba.config.CACHE_DIR, cache_directory() / f"{function.__module__}.{function.__qualname__}"
-    numba.config.CACHE_DIR = str(place)  # read while the function is decorated, and never again
-    try:
-        dispatcher: Any = numba.njit(cache=True, **OPTIONS)(function)
-    finally:
-        numba.config.CACHE_DIR = kept
+    place = cache_directory()
+    dispatcher: Any = _cached(function, place) if usable(place) else numba.njit(**OPTIONS)(function)
     dispatcher.compile = functools.partial(_compile, dispatcher, dispatcher.compile)
     return dispatcher  # type: ignore[no-any-return]
 
 
+def _cached(function: Callable[..., Any], place: Path) -> Any:
+    kept = numba.config.CACHE_DIR
+    numba.config.CACHE_DIR = str(place / f"{function.__module__}.{function.__qualname__}")
+    try:
+        return numba.njit(cache=True, **OPTIONS)(function)  # which reads the setting now, and never again
+    finally:
+        numba.config.CACHE_DIR = kept
+
+
 def _compile(dispatcher: Any, compile_or_load: Callable[[Any], Any], types: Any) -> Any:
     """Compile or load a function for argument types, whatever became of its folder."""
-    if types in dispatcher.signatures:
-        return compile_or_load(types)
-    folder = Path(dispatcher.stats.cache_path)
-    with interrupts_later():  # LLVM's bindings would lose one, or end the process
-        if not _is_sound(folder):
-            shutil.rmtree(folder, ignore_errors=True)
-        for _ in range(2):
-            with contextlib.suppress(OSError):  # compiled, but not saved
-                compile_or_load(types)
-            if types in dispatcher.signatures:
-                break
-            shutil.rmtree(folder, ignore_errors=True)  # another process wrote at the same time
-        if dispatcher.stats.cache_misses:
-            with contextlib.suppress(OSError):
-                (folder / CHECKSUM).write_bytes(_checksum(folder))
-        return compile_or_load(types)
+    if types not in dispatcher.signatures:
+        with interrupts_later():  # LLVM's bindings would lose one, or end the process
+            if dispatcher.stats.cache_path:
+                _keep(dispatcher, compile_or_load, types, Path(dispatcher.stats.cache_path))
+            return compile_or_load(types)
+    return compile_or_load(types)
+
+
+def _keep(dispatcher: Any, compile_or_load: Callable[[Any], Any], types: Any, folder: Path) -> None:
+    if not _is_sound(folder):
+        shutil.rmtree(folder, ignore_errors=True)
+    for _ in range(2):
+        with contextlib.suppress(OSError):  # compiled, but not saved
+            compile_or_load(types)
+        if types in dispatcher.signatures:
+            break
+        shutil.rmtree(folder, ignore_errors=True)  # another process wrote at the same time
+    if dispatcher.stats.cache_misses:
+        with contextlib.suppress(OSError):
+            (folder / CHECKSUM).write_bytes(_checksum(folder))
 
 
 def _is_sound(folder: Path) -> bool:
