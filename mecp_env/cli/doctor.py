@@ -6,7 +6,6 @@ import os
 import platform
 import subprocess
 import sys
-import tempfile
 import time
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
@@ -134,39 +133,24 @@ def installed(name: str) -> str:
 
 
 def compiled_functions(_: float) -> Iterator[Finding]:
-    """Where compiled functions are kept, whether that can be written, and what it holds."""
+    """Whether functions are compiled, where they are kept, whether that can be written, and whether it is warm."""
     import numba
 
-    from mecp_env.core.jit import CHECKED_CACHE
+    from mecp_env.core.jit import cache_directory, usable
+    from mecp_env.core.warm_up import is_cold
 
-    name = "compiled functions"
     if numba.config.DISABLE_JIT:
-        yield Finding("WARN", name, "NUMBA_DISABLE_JIT is set: everything is slow", "unset NUMBA_DISABLE_JIT")
-    if CHECKED_CACHE:
-        yield from cache()
-    else:
-        said = f"numba {numba.__version__} keeps its cache elsewhere: every edit of the package compiles everything"
-        yield Finding("WARN", name, said, 'pip install "numba==0.68.*"')
-
-
-def cache() -> Iterator[Finding]:
-    """Whether the cache can be written, and whether it is warm."""
-    from mecp_env.core.jit_cache import cache_directory
-    from mecp_env.core.warm_up import missing_entries
-
+        said = "NUMBA_DISABLE_JIT is set: everything is slow"
+        yield Finding("WARN", "compiled functions", said, "unset NUMBA_DISABLE_JIT")
     name, place = "function cache", cache_directory()
-    try:
-        place.mkdir(mode=0o700, parents=True, exist_ok=True)
-        tempfile.TemporaryFile(dir=place).close()
-    except OSError as error:
-        said = f"{place}: {error.strerror}; functions are compiled in every process"
+    if not usable(place):
+        said = f"{place} is not yours alone to write to; functions are compiled in every process"
         yield Finding("WARN", name, said, "set NUMBA_CACHE_DIR to a folder of yours that can be written")
         return
-    sizes = [entry.stat().st_size for entry in place.glob("*.nbc")]
+    sizes = [entry.stat().st_size for entry in place.rglob("*.nbc")]
     yield Finding("PASS", name, f"{place}, {len(sizes)} functions, {sum(sizes) / 1e6:.0f} MB, can be written")
-    if missing_entries():
-        cold = "cold: the self-test compiles first, on all cores; about a minute, once"
-        yield Finding("WARN", name, cold, "mecp-env warmup")
+    if is_cold():
+        yield Finding("WARN", name, "cold: the self-test compiles first; about a minute, once", "mecp-env warmup")
 
 
 def display(_: float) -> Iterator[Finding]:

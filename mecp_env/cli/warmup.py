@@ -1,4 +1,4 @@
-"""`mecp-env warmup`: compile ahead, on all cores."""
+"""`mecp-env warmup`: compile ahead."""
 
 from __future__ import annotations
 
@@ -9,30 +9,31 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import echo
+from mecp_env.cli.exit_codes import FAILED, echo
 
 
 @dataclass(frozen=True)
 class WarmUp(Command):
-    """Compile the functions that an episode calls, on all cores, into the user's cache."""
+    """Compile what the commands call into the user's cache, by short drives in processes of their own."""
 
     examples: ClassVar[tuple[str, ...]] = ("mecp-env warmup", "mecp-env warmup --jobs 1")
 
-    jobs: Annotated[int, Field(ge=1)] | None = None  # processes at the same time; default: one per core
+    jobs: Annotated[int, Field(ge=1)] | None = None  # processes at the same time, at most two; default: one per core
 
     def run(self, line: Sequence[str]) -> int:
-        """Show a progress bar; a function that cannot be compiled ahead is compiled when it is called."""
-        from rich.progress import Progress
+        """Count the functions in the meantime; what no drive calls is compiled when it is called."""
+        from rich.progress import Progress, SpinnerColumn, TextColumn
 
-        from mecp_env.core import jit_cache, warm_up
+        from mecp_env.core import jit, warm_up
         from mecp_env.core.cores import cores
 
-        missing = warm_up.missing_entries()
-        with Progress() as bar:
-            task = bar.add_task("compiling", total=len(missing))
-            jobs = self.jobs or cores()
-            warm_up.compile_all(missing, jobs, lambda done, total: bar.update(task, completed=done))
-        left = len(warm_up.missing_entries())
-        later = f"; {left} are compiled when they are called" if left else ""
-        echo(f"{len(missing) - left} functions compiled, in {jit_cache.cache_directory()}{later}")
+        place, together = jit.cache_directory(), (self.jobs or cores()) > 1
+        if not jit.usable(place):
+            echo(f"{place} cannot be written; NUMBA_CACHE_DIR names another folder")
+            return FAILED
+        with Progress(SpinnerColumn(), TextColumn("{task.completed} functions")) as bar:
+            task = bar.add_task("compiling", total=None)
+            for drives in (warm_up.FIRST, warm_up.LATER) if together else zip(warm_up.FIRST + warm_up.LATER):
+                warm_up.compile_ahead(drives, lambda count: bar.update(task, completed=count))
+        echo(f"functions compiled, in {place}")
         return 0

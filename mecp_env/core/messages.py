@@ -6,21 +6,19 @@ Lengths are in metres, angles in radians counter-clockwise in (-pi, pi], float64
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Self
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carrier import carrier
 from mecp_env.core.errors import SensorError
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import compose, inverse
 
 SIDEWAYS_M = 1e-3  # a motion further from an arc than that is a turn, a drive and a turn
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Scan:
     """A burst of K sweeps of B beams, all taken at the pose that ends the step (IV; dense scan of III-A.1)."""
 
@@ -49,8 +47,7 @@ class Scan:
         return cls(np.where(hit, r[first], max_range_m)[None], angles[None], hit[None], float(max_range_m))
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Odometry:
     """The body motion of one control step as measured: M arcs one after the other."""
 

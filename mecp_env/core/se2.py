@@ -15,7 +15,7 @@ def wrap_angle(angle: float) -> float:
     """`angle` in (-pi, pi]."""
     if -3.0 < angle < 3.0:  # nearly all of them; below, 0 would be taken from them
         return angle
-    wrapped = angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
+    wrapped = angle - 2.0 * math.pi * np.floor((angle + math.pi) / (2.0 * math.pi))
     return math.pi if wrapped <= -math.pi else wrapped
 
 

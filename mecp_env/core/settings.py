@@ -12,7 +12,7 @@ from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 import numpy as np
 from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
 
-from mecp_env.core.array_types import Rows
+from mecp_env.core.array_types import Rows, row_type
 from mecp_env.core.errors import ConfigError
 
 MOST_FIELDS = 200  # of a part of an untrusted document
@@ -196,7 +196,7 @@ class Settings(BaseModel):
         columns |= {f"{name.removesuffix('_deg')}_rad": np.radians(columns[name]) for name in degrees}
         kept = {name: column for name, column in columns.items() if column.dtype.kind in "bif"}
         layout = [(name, column.dtype, column.shape) for name, column in kept.items()]
-        packed = np.zeros(1, np.dtype(layout, align=True))
+        packed = np.zeros(1, row_type(layout))
         for name, column in kept.items():
             packed[name][0] = column
         packed.setflags(write=False)

@@ -18,6 +18,7 @@ from typing import Any
 
 import numpy as np
 
+from mecp_env.core.carrier import carriers
 from mecp_env.core.snapshot import StateError, fields_of
 from mecp_env.core.snapshot_check import is_object
 
@@ -60,7 +61,7 @@ class ShapeCheck:
         for path, text in self._shapes.get(type(value).__name__, {}).items():
             for array, words in arrays_at(value, path, text, sizes, f"{where}.{path}"):
                 check_declared(array, words, sizes, f"{where}.{path}")
-        frozen = getattr(getattr(value, "__dataclass_params__", None), "frozen", False)
+        frozen = getattr(getattr(value, "__dataclass_params__", None), "frozen", False) or isinstance(value, carriers())
         for name, item in fields_of(value).items():
             if isinstance(item, np.ndarray) and not (frozen or item.flags.writeable):
                 raise StateError(f"{where}.{name}: an array that cannot be written to")

@@ -11,8 +11,8 @@ import numpy as np
 import shapely
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carrier import carrier
 from mecp_env.core.laser_view import LaserView
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import compose
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.correct_coverage import FloorAndWalls, floor_and_walls
@@ -41,8 +41,7 @@ class DynamicObstacles(NamedTuple):
 NO_OBSTACLES = DynamicObstacles(np.empty((0, 2, 2)), np.empty((0, 2)), np.empty((0, 3)))
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class TrueCorrespondences:
     """True correspondences of the corners of a scan from a true pose; plain data."""
 

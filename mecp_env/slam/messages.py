@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
+from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows, row_type
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.carrier import carrier
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import compose
 
 UNKNOWN_ROOM = -1
@@ -92,8 +92,7 @@ class Cell(IntEnum):
     DOOR = 3
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class MergedScan:
     """One beam per nominal bearing of a sweep: the K interleaved beams around it, without outliers at edges."""
 
@@ -121,8 +120,7 @@ class MergedScan:
         return self.bearings.item(0) - self.bearings.item(-1) + 2.0 * math.pi > 2.0 * self.step
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Clusters:
     """Runs of beams that may be on one structure. Positions count from `roll`, a gap, so that no run wraps."""
 
@@ -132,8 +130,7 @@ class Clusters:
     kind: Ints  # (C,) ClusterKind
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Segments:
     """Straight pieces of wall, ccw around the robot (the bearing increases from start to end)."""
 
@@ -146,8 +143,7 @@ class Segments:
     roll: int  # as in Clusters
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Doorways:
     """Gaps of door width between two collinear jambs, as seen in one scan (III)."""
 
@@ -156,8 +152,7 @@ class Doorways:
     confirmable: Bools  # (g,) seen near and steeply enough to count as a sighting
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Corners:
     """Point features of one scan (III-A.1), in order of bearing."""
 
@@ -208,8 +203,7 @@ class Corners:
         return len(self.z)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class ScanFeatures:
     """What the front end finds in a scan (III-A.1)."""
 
@@ -223,8 +217,7 @@ class ScanFeatures:
         return ScanFeatures(self.beams, self.segments, corners, self.wall)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Polygon:
     """A Maximum Empty Convex Polygon of one scan (III-A.2)."""
 
@@ -232,8 +225,7 @@ class Polygon:
     intervals: Array  # (m,4) edge index, start and end as share of the edge's length, EdgeLabel; in order
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class MapPolygon:
     """A polygon of the map: links to features (III-B.1); centre and covariance are recomputed from the belief.
 
@@ -247,8 +239,7 @@ class MapPolygon:
     last_step: int = 0
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class PolygonGroup:
     """The map polygons of one cardinality, for matching."""
 
@@ -264,7 +255,7 @@ class FeatureState(IntEnum):
     DEAD = 2
 
 
-FEATURE = np.dtype(  # what is remembered of a feature beside the filter's estimate
+FEATURE = row_type(  # what is remembered of a feature beside the filter's estimate
     [
         ("state", np.int64),  # FeatureState
         ("room", np.int64),  # before merges are resolved
@@ -296,8 +287,7 @@ class FeatureTable:
         return len(self.rows)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Match:
     """The decision for each corner of a scan, with its reason."""
 
@@ -333,8 +323,7 @@ class Match:
         return decisions.count(LANDMARK)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Sighting:
     """A scan's corners with the features that they are, and the belief about where they were seen from."""
 
@@ -349,8 +338,7 @@ class Sighting:
         return Sighting(self.corners, match, self.through, self.belief, self.step)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Belief:
     """The estimate of the filter in world coordinates, whatever its internal state is."""
 
@@ -367,8 +355,7 @@ class Belief:
         return rows
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Door:
     """A door of the map: one pair of jambs per wall face, the second face optional."""
 
@@ -379,8 +366,7 @@ class Door:
     sightings: int  # counted up to 50
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Candidate:
     """A gap of door width that is not yet confirmed as a door."""
 
@@ -399,8 +385,7 @@ def resolved(room: int, merged: dict[int, int]) -> int:
     return room
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class RoomGraph:
     """Rooms and the doors between them."""
 
@@ -436,8 +421,7 @@ class RoomGraph:
         return np.array(rooms, np.int64)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class MapView:
     """What an associator may use: the map before the corners of this scan are known."""
 
@@ -454,8 +438,7 @@ class MapView:
         return MapView(self.step, belief, self.features, self.groups, self.graph, self.through, self.past)
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class SemanticGrid:
     """The occupancy grid with meaning, painted from the current estimates. Index [row, col] = [y, x]."""
 
@@ -467,8 +450,7 @@ class SemanticGrid:
     version: int  # grows whenever a cell changed
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class SlamOutput:
     """Everything that one step of the pipeline saw and decided: for info, rendering and benchmarks."""
 

@@ -6,15 +6,10 @@ from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.association import ignored
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
 from mecp_env.slam.filters.mounting import predict_mounted, robot_belief
-from mecp_env.slam.frontend.clustering import cluster_beams
-from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
-from mecp_env.slam.frontend.lost_beams import restore_lost_beams, stop_at_walls
-from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.frontend.front_end import front_end
 from mecp_env.slam.grid.key_scans import seen_floor
 from mecp_env.slam.localisation.map_agreement import Evidence
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.mecp.polygons import beams_on_walls
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting, SlamOutput
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
@@ -52,20 +47,13 @@ class SlamPipeline(SlamParts):
         return self._observe(scan)
 
     def _observe(self, scan: Scan) -> SlamOutput:
-        config, rule = self.config, self.config.clustering
-        merged, united = merge_sweeps(scan, config.sensor, rule.sweeps), rule.united(len(scan.ranges))
-        beams = restore_lost_beams(merged, config.sensor)  # III-A.1, dense scan
-        clusters = cluster_beams(beams, rule, config.segments, config.sensor, united)  # III-A.1, data clustering
-        segments = extract_segments(beams, clusters, config.segments, config.sensor)  # III-A.1, Ramer-Douglas-Peucker
-        beams = stop_at_walls(beams, segments, config.sensor)
-        corners = extract_corners(beams, segments, config.corners, config.sensor)  # III-A.1, line intersections, ends
-        scanned = ScanFeatures(beams, segments, corners, beams_on_walls(clusters, beams))
+        scanned = front_end(scan, self.config)  # III-A.1
         tracked = self.register(scanned)
         untouched, predicted, graph = self.filter, self.filter.belief(), self.rooms.graph()
-        corners, through = self.rooms.mark_beyond(corners, predicted)
+        corners, through = self.rooms.mark_beyond(scanned.corners, predicted)
         corners = self._with_linearisation(corners, predicted)
         around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
-        around = around.with_polygons(find_structure(*around.place, config.polygon, around.wall))  # III-A.2
+        around = around.with_polygons(find_structure(*around.place, self.config.polygon, around.wall))  # III-A.2
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
         associated, updated, evidence = self._localise(around, view, tracked)  # III-B
         belief = self.divergence.watch(self.filter.belief())
@@ -76,9 +64,9 @@ class SlamPipeline(SlamParts):
             self.filter = untouched
             match, belief = self._relocalise(around, view)
         return SlamOutput(
-            *(self.step_count, beams, segments, corners, around.polygons, associated, match),
-            *(robot_belief(belief, config.sensor), self.rooms.graph(), tuple(self.map.polygons.polygons)),
-            *(self.grid.canvas.grid, self.divergence.found, config.sensor.T_robot_laser),
+            *(self.step_count, scanned.beams, scanned.segments, corners, around.polygons, associated, match),
+            *(robot_belief(belief, self.config.sensor), self.rooms.graph(), tuple(self.map.polygons.polygons)),
+            *(self.grid.canvas.grid, self.divergence.found, self.config.sensor.T_robot_laser),
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
             unsure_from=self.guard.settle(match),
         )

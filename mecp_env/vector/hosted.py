@@ -17,17 +17,16 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mecp_env.core import warm_up
 from mecp_env.core.cores import cores
 from mecp_env.core.processes import WorkerDied, start_method
 from mecp_env.core.worker_pool import WorkerPool
+from mecp_env.vector import exploration
 from mecp_env.vector.checks import check_workers
 from mecp_env.vector.flights import Flights
 from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
 from mecp_env.vector.worker import Makers, WorkerEnvironments
 
 STEPS, DRIVES = 1, 2  # workers a core: steps take equally long; drives do not, and the system evens them out
-PRELOAD = "mecp_env.vector.preload"
 RESERVED = ("reset", "step", "close")  # not for `call`
 
 
@@ -183,9 +182,9 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 def share_functions(method: str) -> None:
     """Have compiled functions loaded where workers are forked: each would otherwise have a copy of its own."""
     if method == "fork":
-        warm_up.load()
+        exploration.load()
     elif method == "forkserver":
-        multiprocessing.set_forkserver_preload(["__main__", PRELOAD])
+        multiprocessing.set_forkserver_preload(["__main__", "mecp_env.vector.preload"])
 
 
 def slices(count: int, workers: int | None, each_core: int = 1) -> list[range]:

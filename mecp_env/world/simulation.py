@@ -11,14 +11,13 @@ of the state, and the arrays of what moves, outlive a control step: a restored s
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from mecp_env.core.array_types import Array
+from mecp_env.core.carrier import carrier
 from mecp_env.core.errors import ActionError, MecpError
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.bodies import Bodies
 from mecp_env.world.config import RobotConfig
@@ -36,8 +35,7 @@ from mecp_env.world.moving_obstacles import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Motion:
     """What the body truly did in one step, arc by arc; while it turns faster and faster, an arc leaves 0.1 mm out."""
 

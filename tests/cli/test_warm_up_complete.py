@@ -1,4 +1,4 @@
-"""After `mecp-env warmup` no documented command compiles: what Python calls is in the list that is compiled ahead."""
+"""After `mecp-env warmup` the documented commands compile next to nothing."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from pathlib import Path
 import numba
 import pytest
 
-from mecp_env.core import jit
+from mecp_env.cli import exercise
+from mecp_env.cli import main as cli
+from mecp_env.core import jit, warm_up
 from tests.command_lines import ROOT
 
 SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32"
@@ -45,45 +47,69 @@ LEARNING = (
     "explore maskable_ppo --steps 60",
 )
 LOST = 1  # exit code where the pose is not found in the map
+FEW = 3  # functions, each for one set of types, that all commands together may compile later
 SCRIPT = """
 import json, sys
 import numpy as np
 from mecp_env.cli import main as cli
 from mecp_env.cli.exercise import made_log
-from mecp_env.cli.record_signatures import noted_calls
-from mecp_env.core.warm_up_list import entries
 
 log = made_log()
 beams = {"t": log.t, "ranges": log.ranges, "angles": log.bearings, "max_range_m": log.max_range_m}
 np.savez("log.npz", odo=log.T_odom_robot, **beams)
-codes = {}
-with noted_calls() as found:
-    for line in json.loads(sys.argv[1]):
-        codes[line] = cli.main(line.split())
-listed = set(map(json.dumps, entries()))
-missing = [entry for key, entry in found.items() if key not in listed]
+codes = {line: cli.main(line.split()) for line in json.loads(sys.argv[1])}
 with open("result.json", "w") as file:
-    json.dump([codes, len(found), missing], file)
+    json.dump(codes, file)
 """
 
 
-def documented(lines: tuple[str, ...], folder: Path) -> tuple[dict[str, int], int, list[object]]:
-    """The exit codes of commands, how many functions they call, and those that are not compiled ahead."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT), "MECP_ENV_WARM_UP": "0"}
-    line = [sys.executable, "-c", SCRIPT, json.dumps(lines)]
-    subprocess.run(line, cwd=folder, env=environment, check=True, capture_output=True, timeout=600)
-    codes, called, missing = json.loads((folder / "result.json").read_text())
-    return codes, called, missing
+def run(*words: str, folder: Path) -> None:
+    """A process with a cache of its own, which compiles what it calls."""
+    environment = {"PYTHONPATH": str(ROOT), "MECP_ENV_WARM_UP": "0", "NUMBA_CACHE_DIR": str(folder / "cache")}
+    line = [sys.executable, *words]
+    subprocess.run(line, cwd=folder, env=os.environ | environment, check=True, capture_output=True, timeout=900)
+
+
+def kept(folder: Path) -> set[str]:
+    """The functions in the cache."""
+    return {path.name for path in (folder / "cache").rglob("*.nbc")}
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(numba.config.DISABLE_JIT or not jit.CHECKED_CACHE, reason="nothing is compiled ahead")
-def test_no_documented_command_calls_a_function_that_is_not_compiled_ahead(tmp_path: Path) -> None:
+@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
+def test_the_documented_commands_compile_next_to_nothing_after_a_warm_up(tmp_path: Path) -> None:
     learning = LEARNING if all(map(installed, ("torch", "sb3_contrib"))) else ()
-    codes, called, missing = documented((*LINES, *learning), tmp_path)
+    run("-m", "mecp_env", "warmup", folder=tmp_path)
+    warm = kept(tmp_path)
+    run("-c", SCRIPT, json.dumps((*LINES, *learning)), folder=tmp_path)
+    codes = json.loads((tmp_path / "result.json").read_text())
     assert {line: code for line, code in codes.items() if code not in (0, LOST if "unknown" in line else 0)} == {}
-    assert called > 60
-    assert missing == [], "record the list again: python -m mecp_env.cli.record_signatures"
+    assert len(warm) > 200
+    assert len(kept(tmp_path) - warm) <= FEW, sorted(kept(tmp_path) - warm)
+
+
+@pytest.mark.parametrize(
+    ("jobs", "rows"),
+    [("1", [("episode",), ("log",), ("tasks",)]), ("2", [("episode",), ("log", "tasks")])],
+)
+def test_warm_up_takes_as_many_processes_as_it_may(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jobs: str, rows: list[tuple[str, ...]]
+) -> None:
+    driven: list[tuple[str, ...]] = []
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: driven.append(drives))
+    assert cli.main(["warmup", "--jobs", jobs]) == 0
+    assert driven == rows
+    assert "functions compiled" in capsys.readouterr().out
+
+
+def test_warm_up_fails_where_nothing_can_be_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path / "file" / "cache")
+    assert cli.main(["warmup"]) == 1
+
+
+def test_every_drive_of_a_warm_up_exists() -> None:
+    assert set(warm_up.FIRST + warm_up.LATER) == set(exercise.DRIVES)
 
 
 def installed(module: str) -> bool:

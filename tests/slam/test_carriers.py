@@ -2,15 +2,15 @@
 
 import math
 import pickle
-from dataclasses import dataclass, field, replace
+from dataclasses import field, replace
 from itertools import compress
 
 import numpy as np
 import pytest
 
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.carrier import carrier
 from mecp_env.core.linalg import downdate
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore, are_whole, groups_of, link, without_doubles
@@ -42,9 +42,8 @@ def test_recognised_corners_are_those_with_a_landmark():
     assert match.recognised().tolist() == [1, 3]
 
 
-def test_a_quick_carrier_is_made_and_copied_as_the_plain_dataclass_is():
-    @quick
-    @dataclass(frozen=True, slots=True, eq=False)
+def test_a_carrier_is_made_and_copied_as_a_dataclass_is():
+    @carrier
     class Part:
         a: int
         b: list[int] = field(default_factory=list)

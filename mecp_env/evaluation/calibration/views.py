@@ -10,11 +10,10 @@ import numpy as np
 
 from mecp_env.core.messages import Scan
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.lost_beams import restore_lost_beams
 from mecp_env.slam.frontend.segments import extract_segments
-from mecp_env.slam.mecp.polygons import beams_on_walls
 from mecp_env.slam.messages import MergedScan, Segments
 from mecp_env.slam.panorama.surfaces import Surfaces, surfaces_of
 

@@ -3,15 +3,14 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from scipy.special import chdtri
 
 from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.carrier import carrier
 from mecp_env.core.jit import compiled
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import HERE, UNKNOWN_ROOM, CornerKind, Corners, MapView
@@ -27,8 +26,7 @@ def chi2_gate(dof: int, probability: float) -> float:
     return float(chdtri(dof, 1.0 - probability))
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class PairingTable:
     """Every corner of the scan against every landmark."""
 

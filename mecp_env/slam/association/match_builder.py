@@ -7,11 +7,11 @@ from typing import Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints, Rows
+from mecp_env.core.array_types import Array, Ints, Rows, row_type
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import NO_ID, Decision, Match, Reason
 
-ROW = np.dtype([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)], align=True)
+ROW = row_type([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)])
 INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)
 INITIAL_BYTES = INITIAL.view(np.uint8)  # copied, faster than filled, and faster than as rows
 

@@ -8,16 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints, Rows
+from mecp_env.core.carrier import carrier
 from mecp_env.core.jit import compiled
-from mecp_env.core.quick import quick
 from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, FeatureState, MapView, Polygon, PolygonGroup
 from mecp_env.slam.protocols import Filter
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class PolygonMatch:
     """A polygon of the scan recognised as one of the map."""
 

@@ -33,16 +33,25 @@ def cluster_beams(
     A run with fewer beams or a smaller extent than a segment has is SMALL. Differs from the paper: without the noise
     term a flat wall at 1 m is cut at a fifth of its beam pairs.
     """
-    fixed = config.threshold == "fixed"
     denser = math.sin(0.5 * beams.step) / math.sin(0.5 * sweeps * beams.step) if sweeps > 1 else 1.0
-    rule = (
+    scan, rule = (beams.ranges, beams.bearings, beams.hit, beams.count), threshold_rule(config, sensor, denser)
+    roll, (first, last, kind) = find_clusters(scan, rule, segments.record, sensor.record)
+    return Clusters(roll, first, last, kind)
+
+
+def threshold_rule(config: ClusteringConfig, sensor: SensorModel, denser: float = 1.0) -> tuple[float, float, float]:
+    """The `rule` of `find_clusters`; `denser` is the distance of two beams of the scan by that of one sweep."""
+    fixed = config.threshold == "fixed"
+    return (
         config.fixed_m if fixed else 0.0,
         0.0 if fixed else denser * math.cos(math.radians(config.grazing_deg)),
         sensor.noise_sigmas if config.threshold == "adaptive_noise" else 0.0,
     )
-    scan = beams.ranges, beams.bearings, beams.hit, beams.count
-    roll, (first, last, kind) = find_clusters(scan, rule, segments.record, sensor.record)
-    return Clusters(roll, first, last, kind)
+
+
+def beams_on_walls(clusters: Clusters, beams: MergedScan) -> Bools:
+    """(B,) which beams are on clusters with lines, and may cross a polygon. Pillars and people are not walls."""
+    return wall_beams(clusters.roll, clusters.first, clusters.last, clusters.kind, len(beams.ranges))
 
 
 @compiled
@@ -121,3 +130,16 @@ def collect_runs(ranges: Array, bearings: Array, hit: Bools, joined: Bools, roll
         start, first = position + 1, beam + 1 if beam + 1 < size else 0
         nearest, farthest = math.inf, 0.0
     return runs[:found].T.copy()
+
+
+@compiled
+def wall_beams(roll: int, first: Ints, last: Ints, kind: Ints, beams: int) -> Bools:
+    """(B,) which beams belong to a run (first and last position from `roll`) of lines."""
+    mask = np.zeros(beams, np.bool_)
+    for run in range(first.shape[0]):
+        if kind[run] != ClusterKind.LINES:
+            continue
+        for position in range(first[run], last[run] + 1):
+            beam = position + roll
+            mask[beam if beam < beams else beam - beams] = True
+    return mask

@@ -23,6 +23,8 @@ from mecp_env.slam.frontend.line_intersections import (
 )
 from mecp_env.slam.messages import CornerKind, Corners, Doorways, MergedScan, Segments
 
+Found = tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]
+
 
 def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
     """The corners of a scan in order of bearing, with joint covariance, descriptor and the doorways among them.
@@ -31,7 +33,7 @@ def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig,
     (III-A.1). Differs from the paper: its constant sigmas are replaced by the covariance of the lines, shared by the
     corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
     """
-    (z, kind, convex, normals), cov, beyond, sites, doorways = find_corners(
+    found = find_corners(
         (beams.ranges, beams.bearings, beams.count, beams.hit, beams.raw_ranges, beams.raw_bearings),
         (segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last),
         segments.roll,
@@ -40,6 +42,12 @@ def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig,
         config.gaps.record,
         sensor.record,
     )
+    return as_corners(found, config, sensor)
+
+
+def as_corners(found: Found, config: CornerConfig, sensor: SensorModel) -> Corners:
+    """What `find_corners` returns."""
+    (z, kind, convex, normals), cov, beyond, sites, doorways = found
     if config.covariance == "sensor":  # IV: sigma_r and sigma_theta of the laser, for every corner alike
         noise = laser_noise(sensor.record)
         sigma_m = np.maximum(noise.range_m, noise.share * z[:, 0])
@@ -56,7 +64,7 @@ def find_corners(
     config: Rows,
     gap_config: Rows,
     sensor: Rows,
-) -> tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]:
+) -> Found:
     """z, kind, convex and normals of `Corners`, then its cov, beyond and sites, and the fields of `Doorways`.
 
     `beams` are range, bearing, count, hit, raw range and raw bearing; `segments` the fields of `Segments` up to `last`,
@@ -83,7 +91,7 @@ def find_corners(
             count += add_end(ends[count], scan, lines, k, 1, limits, noise)
             count += add_end(ends[count], scan, lines, following, -1, limits, noise)
     found = one_each(ends[:count], line_cov, limits)
-    z, n = found.z.copy(), found.shape[0]
+    z, n = found["z"].copy(), found.shape[0]
     p_robot = polar_to_points(z)
     doorways = find_doorways(found, p_robot, scan, lines, limits, gap_config[0], noise)
     beyond = mark_beyond(found, p_robot, doorways[0], limits.line_m)
@@ -93,7 +101,7 @@ def find_corners(
     sites = np.empty(n, np.bool_)
     for k in range(n):
         sites[k] = found[k].kind != CornerKind.JAMB and beyond[k] < 0
-    rows = z, found.kind.copy(), found.convex.copy(), found.normals.copy()
+    rows = z, found["kind"].copy(), found["convex"].copy(), found["normals"].copy()
     return rows, joint_covariance(found, line_cov), beyond, sites, doorways
 
 

@@ -24,10 +24,6 @@ def merge_sweeps(scan: Scan, sensor: SensorModel, sweeps: Literal["mean", "union
     """
     if sweeps == "union":
         return unite_sweeps(scan)
-    if len(scan.ranges) == 1:
-        ranges, bearings = np.array(scan.ranges[0], float), np.array(scan.bearings[0], float)
-        count = np.ones(len(ranges), np.int64)
-        return MergedScan(ranges, bearings, np.array(scan.hit[0], bool), count, scan.max_range_m, ranges, bearings)
     ranges, bearings, hit, count, raw_ranges, raw_bearings = average_sweeps(
         scan.ranges, scan.bearings, scan.hit, scan.max_range_m, sensor.record
     )
@@ -48,6 +44,9 @@ def average_sweeps(
 ) -> tuple[Array, Array, Bools, Ints, Array, Array]:
     """The fields of `MergedScan` but for the largest range, from sweeps (K,B)."""
     sweeps, size = ranges.shape
+    if sweeps == 1:
+        alone, turns = ranges[0].copy(), bearings[0].copy()
+        return alone, turns, hit[0].copy(), np.ones(size, np.int64), alone, turns
     raw_ranges, raw_bearings, falls = np.empty(sweeps * size), np.empty(sweeps * size), 0
     for beam in range(size):
         for sweep in range(sweeps):

@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.array_types import Array, Bools, Ints, row_type
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.frontend.beams import Noise, Record, Records
 from mecp_env.slam.messages import CornerKind
 
-FOUND = np.dtype(
+FOUND = row_type(
     [
         ("z", np.float64, 2),  # m, rad
         ("own", np.float64, (2, 2)),  # covariance of z that no other corner shares
@@ -23,8 +23,7 @@ FOUND = np.dtype(
         ("normals", np.float64, 2),  # rad
         ("border", np.int64, 2),  # the segment that may end at a gap here, the one that may begin after it, or -1
         ("convex", np.bool_),
-    ],
-    align=True,
+    ]
 )  # one corner
 
 

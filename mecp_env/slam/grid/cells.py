@@ -75,7 +75,7 @@ def fill_polygon(layer: Layer, ring: Array, how: int, value: int, raster: Raster
         mask[row, max(right, 0)] = 0
         for column in range(left, right):
             if how == ADD:
-                layer[row, column] += np.int16(value * mask[row, column])
+                layer[row, column] += np.int16(value * int(mask[row, column]))
             elif mask[row, column] and (how == SET or layer[row, column] == value):
                 layer[row, column] = np.int16(value if how == SET else -1)
             mask[row, column] = 0

@@ -64,9 +64,9 @@ class DynamicObjects:
         if not grid.label.size:
             return None
         pose_cov, limits = np.ascontiguousarray(belief.pose_cov), self.config.record
-        asked = beams_off_walls(beams.hit, segments.points, segments.first, segments.last, segments.roll, limits)
-        floor = grid.label, grid.origin, grid.resolution_m
-        marked = mark_dynamic(beams.ranges, beams.bearings, asked, belief.T_map_robot, pose_cov, floor, limits)
+        scan, floor = (beams.ranges, beams.bearings, beams.hit), (grid.label, grid.origin, grid.resolution_m)
+        lines = segments.points, segments.first, segments.last, segments.roll
+        marked = mark_dynamic(scan, lines, belief.T_map_robot, pose_cov, floor, limits)
         return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked, limits) if len(marked) else None
 
     def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
@@ -134,31 +134,25 @@ def find_lone_closures(ids: Ints, decision: Ints, nis: Array, z: Array, rows: Ro
 
 
 @compiled
-def beams_off_walls(hit: Bools, points: Array, first: Ints, last: Ints, roll: int, config: Rows) -> Bools:
-    """(B,) the hits but for those on long segments."""
-    size, asked = hit.shape[0], hit.copy()
-    for k in range(first.shape[0]):
-        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > config[0].wall_m:
-            for position in range(first[k] + roll, last[k] + roll + 1):
-                asked[position if position < size else position - size] = False
-    return asked
-
-
-@compiled
 def mark_dynamic(
-    ranges: Array,
-    bearings: Array,
-    asked: Bools,
+    scan: tuple[Array, Array, Bools],
+    lines: tuple[Array, Ints, Ints, int],
     T_map_robot: Array,
     pose_cov: Array,
     floor: tuple[Bytes, Array, float],
     config: Rows,
 ) -> Bools:
-    """(B,) the beams in runs of beams that were `asked` and end on floor; (0,) without any.
+    """(B,) the beams in runs of hits off long segments that end on floor; (0,) without any.
 
-    `floor` is the labels (H,W), the origin and the resolution of the grid.
+    `scan` is ranges, bearings and hit, `lines` the points, first, last and roll of `Segments`; `floor` is the labels
+    (H,W), the origin and the resolution of the grid.
     """
-    limits, dynamic, found = config[0], np.zeros(ranges.shape[0], np.bool_), False
+    (ranges, bearings, hit), (points, first, last, roll), limits = scan, lines, config[0]
+    size, asked, dynamic, found = hit.shape[0], hit.copy(), np.zeros(hit.shape[0], np.bool_), False
+    for k in range(first.shape[0]):
+        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > limits.wall_m:
+            for position in range(first[k] + roll, last[k] + roll + 1):
+                asked[position if position < size else position - size] = False
     x, y, heading = T_map_robot
     place_sigma = math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
     turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0

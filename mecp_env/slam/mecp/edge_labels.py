@@ -9,7 +9,7 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.slam.messages import ClusterKind, EdgeLabel
+from mecp_env.slam.messages import EdgeLabel
 
 Record = Any  # a row of `Settings.record`: numbers by name
 
@@ -208,16 +208,3 @@ def write_intervals(
                 rows[at, 0], rows[at, 1], rows[at, 2], rows[at, 3] = e, begin, done, label
                 at += 1
     return at
-
-
-@compiled
-def wall_beams(roll: int, first: Ints, last: Ints, kind: Ints, beams: int) -> Bools:
-    """(B,) which beams belong to a run (first and last position from `roll`) of lines."""
-    mask = np.zeros(beams, np.bool_)
-    for run in range(first.shape[0]):
-        if kind[run] != ClusterKind.LINES:
-            continue
-        for position in range(first[run], last[run] + 1):
-            beam = position + roll
-            mask[beam if beam < beams else beam - beams] = True
-    return mask

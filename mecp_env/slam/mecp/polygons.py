@@ -6,9 +6,8 @@ import numpy as np
 
 from mecp_env.core.array_types import Bools
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.mecp.edge_labels import wall_beams
 from mecp_env.slam.mecp.wall_crossing import polygons_of_scan
-from mecp_env.slam.messages import Clusters, CornerKind, Corners, MergedScan, Polygon
+from mecp_env.slam.messages import CornerKind, Corners, MergedScan, Polygon
 
 
 def find_polygons(
@@ -61,8 +60,3 @@ def _polygons(
         found.append(Polygon(ids[at:end], intervals[row:last_row]))
         at, row = end, last_row
     return tuple(found)
-
-
-def beams_on_walls(clusters: Clusters, beams: MergedScan) -> Bools:
-    """(B,) which beams are on clusters with lines, and may cross a polygon. Pillars and people are not walls."""
-    return wall_beams(clusters.roll, clusters.first, clusters.last, clusters.kind, len(beams.ranges))

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carrier import carrier
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import quadratic
-from mecp_env.core.quick import quick
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.messages import (
     NO_ID,
@@ -27,8 +27,7 @@ from mecp_env.slam.messages import (
 from mecp_env.slam.panorama.surfaces import Surfaces
 
 
-@quick
-@dataclass(frozen=True, slots=True, eq=False)
+@carrier
 class Surroundings:
     """A scan, and what associator and polygon search see of the place: without past corners that of the scan itself."""
 

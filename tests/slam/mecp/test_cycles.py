@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import PolygonConfig
+from mecp_env.slam.frontend.clustering import wall_beams
 from mecp_env.slam.mecp.cycles import best_cycles, order_by_bearing, quietest_gap, visible_edges
 from mecp_env.slam.mecp.edge_labels import (
     EdgeBeams,
@@ -16,7 +17,6 @@ from mecp_env.slam.mecp.edge_labels import (
     edge_is_cut,
     from_normal,
     passing_intervals,
-    wall_beams,
 )
 from mecp_env.slam.mecp.wall_crossing import best_free_cycles
 from tests.slam.mecp.reference import largest_empty_convex_polygons

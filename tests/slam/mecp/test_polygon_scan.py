@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.mecp.polygons import beams_on_walls, find_polygons
+from mecp_env.slam.frontend.clustering import beams_on_walls
+from mecp_env.slam.mecp.polygons import find_polygons
 from mecp_env.slam.messages import Clusters, CornerKind, EdgeLabel
 from tests.slam.mecp.polygon_rooms import (
     BOX,

@@ -10,7 +10,7 @@ import pytest
 
 from mecp_env.core.se2 import inverse, wrap_angle
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.mecp.polygons import beams_on_walls
+from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.panorama import registration
 from mecp_env.slam.panorama.registration import Registration, RegistrationLimits, register
 from mecp_env.slam.panorama.surfaces import surfaces_of

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.slam.mecp.polygons import beams_on_walls
+from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
 from mecp_env.slam.panorama.recent_scans import is_in_room
 from mecp_env.slam.panorama.surfaces import surfaces_of
