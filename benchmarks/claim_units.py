@@ -22,7 +22,8 @@ from mecp_env.evaluation.map_scores import covers
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp import find_polygons
 from mecp_env.slam.mecp.dobkin import rings_around
-from mecp_env.slam.messages import Corners, Polygon, SlamOutput
+from mecp_env.slam.messages import Corners, Polygon
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
 Array = NDArray[np.float64]

@@ -20,7 +20,8 @@ from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.association import OracleAssociator, make_associator
 from mecp_env.slam.config import AssociationConfig, SlamConfig
-from mecp_env.slam.messages import Corners, MapView, Match, Polygon, SlamOutput
+from mecp_env.slam.messages import Corners, MapView, Match, Polygon
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout

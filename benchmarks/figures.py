@@ -26,7 +26,7 @@ from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.render import shapes
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
 Array = NDArray[np.float64]

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.polygon_centres import Centre
 from mecp_env.core.se2 import to_map
 from mecp_env.render import shapes
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.output import SlamOutput
 from mecp_env.world.outline import Outline
 
 Array = NDArray[np.float64]

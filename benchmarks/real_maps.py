@@ -16,7 +16,7 @@ from mecp_env.core.se2 import to_map
 from mecp_env.render import palette
 from mecp_env.render.figures import TRUE_PATH, TRUTH_GREY
 from mecp_env.render.palette import unit
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.output import SlamOutput
 
 COLUMNS = 3
 WIDTH_IN, HEIGHT_IN = 5.0, 3.6  # of one map

@@ -44,7 +44,7 @@ from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.known_ground import Surroundings, offered_goals
 from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.view import SceneView
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.output import SlamOutput
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
 

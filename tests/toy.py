@@ -20,8 +20,8 @@ from mecp_env.slam.messages import (
     RoomGraph,
     Segments,
     SemanticGrid,
-    SlamOutput,
 )
+from mecp_env.slam.output import SlamOutput
 
 WALL_M = 0.12
 ROOM_A = (0.0, 0.0, 6.0, 4.0)  # x0, y0, x1, y1

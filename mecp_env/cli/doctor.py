@@ -150,7 +150,7 @@ def compiled_functions(_: float) -> Iterator[Finding]:
     sizes = [entry.stat().st_size for entry in place.rglob("*.nbc")]
     yield Finding("PASS", name, f"{place}, {len(sizes)} functions, {sum(sizes) / 1e6:.0f} MB, can be written")
     if is_cold():
-        yield Finding("WARN", name, "cold: the self-test compiles first; about a minute, once", "mecp-env warmup")
+        yield Finding("WARN", name, "cold: the self-test compiles first; a minute or two, once", "mecp-env warmup")
 
 
 def display(_: float) -> Iterator[Finding]:

@@ -28,7 +28,7 @@ from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
 from mecp_env.render.screen import thumbnail
 from mecp_env.render.view import SceneView
-from mecp_env.slam.messages import SlamOutput
+from mecp_env.slam.output import SlamOutput
 
 FILES = (  # what a run leaves behind; truth.tum only where the log has a reference path
     *("map.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),

@@ -17,7 +17,7 @@ from mecp_env.core.errors import ConfigError
 
 if TYPE_CHECKING:
     from mecp_env.cli.exploration import Run
-    from mecp_env.slam.messages import SlamOutput
+    from mecp_env.slam.output import SlamOutput
 
 
 @dataclass(frozen=True)

@@ -29,7 +29,7 @@ log = logging.getLogger(__name__)
 def prepare() -> None:
     """On first use: compile what an episode calls, say so in one line, and wait for it; never in a worker of a pool."""
     if os.environ.get(SWITCH) != "0" and multiprocessing.parent_process() is None and is_cold():
-        log.warning("mecp_env: compiling functions; once, for about a minute (%s=0 switches it off)", SWITCH)
+        log.warning("mecp_env: compiling functions; once, for a minute or two (%s=0 switches it off)", SWITCH)
         compile_ahead(FIRST, show)
 
 

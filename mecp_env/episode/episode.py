@@ -15,7 +15,8 @@ from mecp_env.episode.observations import TravelledPath
 from mecp_env.episode.rewards import RewardMemory
 from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.planning.goals import GoalHistory, Goals
-from mecp_env.slam.messages import Match, SlamOutput
+from mecp_env.slam.messages import Match
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.moving_obstacles import Moving
 

@@ -14,7 +14,8 @@ from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.episode import observation_arrays
 from mecp_env.episode.observation_arrays import GOALS, LANDMARKS, Part
 from mecp_env.planning.goals import Goals
-from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 
 GRID = (96, 0.2)  # cells per side, m per cell
 MAP = (64, 0.8)

@@ -23,7 +23,8 @@ from mecp_env.logs.log import Log
 from mecp_env.logs.motion import arcs, end_of, reading
 from mecp_env.logs.registration import registered
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.messages import NO_ID, SlamOutput
+from mecp_env.slam.messages import NO_ID
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.smoothing import FinalMap, SmoothingError, Trace
 from mecp_env.world.config import OdometryConfig

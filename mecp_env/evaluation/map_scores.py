@@ -12,7 +12,8 @@ from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.se2 import inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import GroundTruth
-from mecp_env.slam.messages import NO_ID, Belief, Cell, Door, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import NO_ID, Belief, Cell, Door, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 
 DOOR_GATE_M = 0.3
 

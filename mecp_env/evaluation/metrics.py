@@ -23,7 +23,8 @@ from mecp_env.evaluation.map_scores import (
     landmark_errors,
     rooms_found,
 )
-from mecp_env.slam.messages import Belief, SlamOutput
+from mecp_env.slam.messages import Belief
+from mecp_env.slam.output import SlamOutput
 
 __all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth"]
 

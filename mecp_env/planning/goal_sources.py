@@ -16,7 +16,8 @@ from mecp_env.core.arrays import rows_by_id
 from mecp_env.planning import goal_search
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
-from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, Door, EdgeLabel, SlamOutput
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, Door, EdgeLabel
+from mecp_env.slam.output import SlamOutput
 
 Point = tuple[float, float]
 OpenEdge = tuple[float, float, float, float, float, int]  # middle x, y, outward normal x, y, width, m, and room

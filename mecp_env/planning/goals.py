@@ -18,7 +18,8 @@ from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, PLACE, Goal, Goa
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels, rings_by_room
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph, SlamOutput
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph
+from mecp_env.slam.output import SlamOutput
 
 __all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 

@@ -14,7 +14,8 @@ from mecp_env.planning.goal_list import Goal, GoalKind, Goals, PlaceKind
 from mecp_env.planning.goals import GoalHistory, reach_of
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
 from mecp_env.planning.prediction import predict
-from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, SlamOutput
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief
+from mecp_env.slam.output import SlamOutput
 
 SPOT_POINTS = 5  # of the path travelled, from one spot that may be a place to the next
 MOST_LOOPS = 3  # places that close a loop

@@ -14,7 +14,8 @@ from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, of
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, LOOK, OPEN, PLACE, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_places, unexplained_gaps
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import NO_ID, Cell, Door, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import NO_ID, Cell, Door, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 
 STOP = (0.0, 0.0)
 UNKNOWN = int(Cell.UNKNOWN)

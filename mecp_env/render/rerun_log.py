@@ -21,7 +21,8 @@ from mecp_env.render import palette
 from mecp_env.render.replay.recorder import DECISIONS, KINDS, REASONS, REWARD
 from mecp_env.render.shapes import CHI2_95, cell_colours, door_lines, magnification, positions
 from mecp_env.render.view import SceneView, loops
-from mecp_env.slam.messages import LANDMARK, Decision, Match, Reason, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import LANDMARK, Decision, Match, Reason, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 
 INSTALL = "install the extra `viewer`: pip install 'mecp_env[viewer]'"
 PANELS: Mapping[str, tuple[str, ...]] = {  # metrics that are drawn over time, by the panel that they are in

@@ -12,7 +12,8 @@ from mecp_env.core.se2 import compose, polar_to_points, to_map
 from mecp_env.render import palette
 from mecp_env.render.palette import RGB, room_colour
 from mecp_env.render.view import SceneView
-from mecp_env.slam.messages import Belief, Cell, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import Belief, Cell, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 
 ELLIPSE_MAGNIFIED = 5.0  # of the corners of one scan
 MAGNIFICATIONS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # of the ellipses of a map; legends name the one that was taken

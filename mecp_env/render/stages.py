@@ -16,7 +16,8 @@ from mecp_env.core.se2 import polar_to_points, to_robot
 from mecp_env.render import palette, shapes
 from mecp_env.render.legends import drawn
 from mecp_env.render.palette import unit
-from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason, SlamOutput
+from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason
+from mecp_env.slam.output import SlamOutput
 
 KINDS = {CornerKind.CROSSING: ("o", "crossing"), CornerKind.FREE_END: ("s", "free end"), CornerKind.JAMB: ("D", "jamb")}
 EDGES = {EdgeLabel.WALL: palette.SOLID, EdgeLabel.GAP: palette.DOOR, EdgeLabel.OPEN: palette.GOAL}

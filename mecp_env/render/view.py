@@ -9,7 +9,8 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.se2 import to_map
-from mecp_env.slam.messages import Cell, SlamOutput
+from mecp_env.slam.messages import Cell
+from mecp_env.slam.output import SlamOutput
 
 # shown name, format, and the names of the metrics it is made of; left out where one of them is missing
 ITEMS = (

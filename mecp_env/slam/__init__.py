@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from mecp_env.slam.checks import MatchError, SensorError
     from mecp_env.slam.config import SlamConfig
     from mecp_env.slam.map_file import MapError, SlamMap
-    from mecp_env.slam.messages import SlamOutput
+    from mecp_env.slam.output import SlamOutput
     from mecp_env.slam.pipeline import SlamPipeline
 
 __all__ = [
@@ -37,7 +37,7 @@ MODULES = {
     "SensorError": "mecp_env.slam.checks",
     "SlamConfig": "mecp_env.slam.config",
     "SlamMap": "mecp_env.slam.map_file",
-    "SlamOutput": "mecp_env.slam.messages",
+    "SlamOutput": "mecp_env.slam.output",
     "SlamPipeline": "mecp_env.slam.pipeline",
 }
 

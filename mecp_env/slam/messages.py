@@ -3,8 +3,9 @@
 Lengths in metres, angles in radians counter-clockwise in (-pi, pi], float64. Frames are in the names: `p_robot` is a
 point in the robot's frame, `p_map` one in the map frame (the robot's pose at reset), `T_map_robot` the pose (3,) x, y,
 heading of the robot in the map. A scan is seen from the laser: between the stages "robot" is where the laser is, and
-only `SlamOutput.belief` has the pose of the robot's centre (filters/mounting.py). Messages are immutable, their arrays
-included: a stage that decides differently returns a new one. Only `FeatureTable`, the memory of the map, is written to.
+only `SlamOutput.belief` (output.py) has the pose of the robot's centre (filters/mounting.py). Messages are immutable,
+their arrays included: a stage that decides differently returns a new one. Only `FeatureTable`, the memory of the map,
+is written to.
 """
 
 from __future__ import annotations
@@ -12,9 +13,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from enum import IntEnum
-from importlib import import_module
-from os import PathLike
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -24,7 +22,6 @@ from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows, row_type
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.carrier import carrier
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
-from mecp_env.core.se2 import compose
 
 UNKNOWN_ROOM = -1
 HERE = -2  # the room of what is not seen through a door
@@ -448,48 +445,3 @@ class SemanticGrid:
     origin: Array  # (2,) m, map frame: the lower left corner of cell [0, 0]
     resolution_m: float
     version: int  # grows whenever a cell changed
-
-
-@carrier
-class SlamOutput:
-    """Everything that one step of the pipeline saw and decided: for info, rendering and benchmarks."""
-
-    step: int
-    beams: MergedScan
-    segments: Segments
-    corners: Corners
-    polygons: tuple[Polygon, ...]
-    associated: Match  # as the associator decided
-    match: Match  # after dynamic objects were left out, tracks were followed and landmarks merged
-    belief: Belief
-    graph: RoomGraph
-    map_polygons: tuple[MapPolygon, ...]
-    grid: SemanticGrid
-    diverged: bool
-    T_robot_laser: Array = field(default_factory=lambda: np.zeros(3))
-    """(3,) mounting pose of the laser, in whose frame beams, segments and corners are; `belief` is of the robot."""
-    confidence: float = 1.0  # probability that the position error is below `localisation.error_m`
-    localised: bool = True  # False while the pose is searched for, and nothing is mapped
-    panorama: Corners | None = None  # corners of this scan and of recent ones, where those complete it
-    unsure_from: int = NO_ID  # features from this id on were mapped after the pose was lost, and are not yet sure
-
-    @property
-    def polygon_corners(self) -> Corners:
-        """The corners that `Polygon.corners` of `polygons` are indices of."""
-        return self.corners if self.panorama is None else self.panorama
-
-    def export(self, **paths: str | PathLike[str] | None) -> list[Path]:
-        """Write files for other programs: `landmarks` (.csv), `rooms` (.geojson), `g2o` (.g2o), `grid` (.yaml).
-
-        Each keyword is the path of a file; those that were written are returned. Raises `ConfigError` for an unknown
-        keyword, and `OSError` that names the file. docs/estimator.md describes them.
-        """
-        export = import_module("mecp_env.slam.export")  # by name: it is made of these messages
-        written: list[Path] = export.save(export.EstimatedMap(self.belief, self.graph, self.grid), paths)
-        return written
-
-    @property
-    def T_map_laser(self) -> Array:
-        """(3,) the estimated pose of the laser."""
-        T_map_laser: Array = compose(self.belief.T_map_robot, self.T_robot_laser)
-        return T_map_laser

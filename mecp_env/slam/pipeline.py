@@ -10,7 +10,8 @@ from mecp_env.slam.frontend.front_end import front_end
 from mecp_env.slam.grid.key_scans import seen_floor
 from mecp_env.slam.localisation.map_agreement import Evidence
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting, SlamOutput
+from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
 

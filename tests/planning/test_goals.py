@@ -20,7 +20,8 @@ from mecp_env.planning.goal_sources import (
 from mecp_env.planning.goals import GoalHistory, GoalKind, Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.levels import door_levels, levels_from, polygon_levels, rings_by_room
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.messages import Belief, Door, EdgeLabel, MapPolygon, RoomGraph, SlamOutput
+from mecp_env.slam.messages import Belief, Door, EdgeLabel, MapPolygon, RoomGraph
+from mecp_env.slam.output import SlamOutput
 from tests.toy import Toy, candidate, layer_at
 
 CONFIG = PlanningConfig()

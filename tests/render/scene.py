@@ -20,8 +20,8 @@ from mecp_env.slam.messages import (
     RoomGraph,
     Segments,
     SemanticGrid,
-    SlamOutput,
 )
+from mecp_env.slam.output import SlamOutput
 
 Array = NDArray[np.float64]
 

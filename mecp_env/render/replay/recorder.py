@@ -13,7 +13,8 @@ from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import palette
 from mecp_env.render.replay.changes import Versions, changed_cells, changed_rows
 from mecp_env.render.view import SceneView, loops, signed_area
-from mecp_env.slam.messages import Cell, Corners, Decision, Match, Reason, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import Cell, Corners, Decision, Match, Reason, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 
 MOST_FRAMES = 1500  # a longer run keeps every second step, then every fourth, ...
 MOST_BEAMS = 180  # of a scan that are drawn

@@ -12,7 +12,8 @@ from mecp_env.core.se2 import inverse
 from mecp_env.core.trajectories import composed
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.mounting import predict_mounted
-from mecp_env.slam.messages import NO_ID, Belief, SemanticGrid, SlamOutput
+from mecp_env.slam.messages import NO_ID, Belief, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.smoothing.graph import Links, PoseGraph, Priors, Sightings, SmoothingError, inverses
 from mecp_env.slam.smoothing.optimum import smooth
