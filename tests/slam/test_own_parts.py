@@ -19,6 +19,7 @@ from benchmarks import __main__ as command
 from benchmarks import association as benchmark
 from mecp_env.core import own_modules
 from mecp_env.core.errors import ConfigError
+from mecp_env.evaluation.part_checks import check_associator, check_filter
 from mecp_env.slam import association, config, filters, mecp
 from mecp_env.slam.association import register_associator
 from mecp_env.slam.config import SlamConfig
@@ -67,6 +68,11 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     other.set_state(state)
     first, second = (e.step(np.array([0.3, -0.2]))[0] for e in (env, other))
     assert all(np.array_equal(first[key], second[key]) for key in first)
+
+
+def test_they_pass_the_checks_of_the_page(own: dict[str, ModuleType]) -> None:
+    assert check_associator(own["global_nearest"].GlobalNearest) > 0
+    check_filter(own["one_shot_filter"].one_shot)
 
 
 class Boxed:

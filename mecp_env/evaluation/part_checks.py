@@ -1,0 +1,196 @@
+"""Whether a custom filter or associator does what the estimator asks of it, on constructed data.
+
+A check raises the error of the part (`FilterError`, `MatchError`) with the method that is wrong. It says nothing of how
+good a part is; for that, the benchmarks `association` and `filters` compare it on recorded drives.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.se2 import compose, to_robot
+from mecp_env.slam.checks import MatchError, check_match
+from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
+from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon
+from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam.protocols import Associator, Filter, FilterError
+
+POINTS = np.array([[2.0, 1.0], [3.0, -1.5], [4.0, 2.0], [1.0, -2.0], [5.0, 0.5], [2.5, 3.0]])  # m, map frame
+SIGMA_M, SIGMA_RAD = 0.02, 0.005
+STEP_M, TURN_RAD, STEPS = 0.1, 0.05, 8
+ARC = np.array([STEP_M * math.cos(TURN_RAD / 2), STEP_M * math.sin(TURN_RAD / 2), TURN_RAD])
+WALLS = np.array([[-2.0, -1.5], [3.0, -1.5], [3.0, 0.5], [4.0, 0.5], [4.0, 2.5], [-2.0, 2.5]])  # m, a room, its corners
+BEAMS, MAX_RANGE_M = 720, 20.0
+
+
+def check_filter(make: Callable[[FilterConfig], Filter]) -> None:
+    """Raise `FilterError` unless the filter that `make` makes keeps to the protocol `Filter` (slam/protocols.py).
+
+    Six landmarks are taken in and seen again on a short drive. Shapes, finite numbers and positive covariances of all
+    results are asked for, the same numbers by `belief`, `marginal`, `innovation` and `individual_nis`, a copy that is
+    independent, an update that makes the pose surer, and a `FilterError` for an id that does not exist, with the state
+    as it was.
+    """
+    estimate, rng = make(FilterConfig()), np.random.default_rng(0)
+    ids = np.arange(10, 10 + len(POINTS))
+    estimate.augment(*seen(np.zeros(3), rng), ids)
+    _require(np.array_equal(estimate.ids, ids), "augment: the ids are not in the order of their initialisation")
+    T, motion = np.zeros(3), Odometry(np.array([[STEP_M, TURN_RAD]]), np.diag([0.01, 0.01])[None] ** 2, bumper=False)
+    for _ in range(STEPS):
+        estimate.predict(motion)
+        T = compose(T, ARC)
+        before = _sound(estimate.belief(), len(ids), "predict")
+        z, R = seen(T, rng)
+        _check_pairs(estimate, z, R, ids)
+        estimate.update(z, R, ids)
+        after = _sound(estimate.belief(), len(ids), "update")
+        surer = np.trace(after.pose_cov) < np.trace(before.pose_cov)
+        _require(bool(surer), "update: the pose is no surer after six landmarks were recognised")
+    off = estimate.belief().T_map_robot - T
+    _require(float(np.abs(off).max()) < 0.1, f"update: the pose is off by {np.round(off, 3).tolist()} m, m, rad")
+    _check_copy(estimate, z, R, ids)
+    _check_removal(estimate, ids)
+
+
+def seen(T_map_robot: Array, rng: np.random.Generator) -> tuple[Array, Array]:
+    """z (6,2) and R (12,12): all points from a pose, with noise."""
+    x, y = to_robot(T_map_robot, POINTS).T
+    z = np.column_stack((np.hypot(x, y), np.arctan2(y, x)))
+    sigmas = np.tile([SIGMA_M, SIGMA_RAD], len(POINTS))
+    return z + (sigmas * rng.standard_normal(len(sigmas))).reshape(z.shape), np.diag(sigmas**2)
+
+
+def _check_pairs(estimate: Filter, z: Array, R: Array, ids: Ints) -> None:
+    """Innovation and NIS of pairs must say the same."""
+    first = slice(0, 2)
+    nu, S = estimate.innovation(z[:1], R[first, first], ids[:1])
+    _require(nu.shape == (2,) and S.shape == (2, 2), f"innovation: shapes {nu.shape}, {S.shape}, (2,), (2, 2) expected")
+    _require(bool(np.linalg.eigvalsh(S).min() > 0.0), "innovation: S is not positive")
+    blocks = np.array([R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(len(z))])
+    nis = estimate.individual_nis(z, blocks, ids)
+    _require(nis.shape == (len(z), len(ids)), f"individual_nis: shape {nis.shape}, {(len(z), len(ids))} expected")
+    same = math.isclose(float(nu @ np.linalg.solve(S, nu)), float(nis[0, 0]), rel_tol=0.05, abs_tol=0.01)
+    _require(same, "individual_nis: another NIS than by `innovation`")
+    own = nis.argmin(axis=1)
+    _require(np.array_equal(own, np.arange(len(z))), "individual_nis: a landmark is nearer to another's measurement")
+    joint = estimate.joint_nis(z, R, ids)
+    _require(math.isfinite(joint) and joint >= 0.0, f"joint_nis: {joint:g}, a number of at least 0 expected")
+
+
+def _check_copy(estimate: Filter, z: Array, R: Array, ids: Ints) -> None:
+    mean, cov = estimate.marginal(ids[:2])
+    shapes = mean.shape, cov.shape
+    _require(shapes == ((7,), (7, 7)), f"marginal: shapes {shapes}, (7,), (7, 7) expected")
+    kept, other = estimate.belief(), estimate.copy()
+    _require(bool(np.allclose(mean[:3], kept.T_map_robot)), "marginal: another pose than that of `belief`")
+    other.update(z, R, ids)
+    other.loosen(np.diag([1.0, 1.0, 0.1]))
+    other.set_pose(np.array([5.0, 5.0, 1.0]), 0.01 * np.eye(3))
+    _require(_same(kept, estimate.belief()), "copy: what is done to a copy changes the filter")
+    _require(bool(np.allclose(other.belief().T_map_robot, [5.0, 5.0, 1.0])), "set_pose: the pose is another one")
+    try:
+        estimate.update(z[:1], R[:2, :2], np.array([999]))
+    except FilterError:
+        _require(_same(kept, estimate.belief()), "update: an id that does not exist changes the state")
+    else:
+        raise FilterError("update: an id that does not exist, 999, is taken")
+
+
+def _check_removal(estimate: Filter, ids: Ints) -> None:
+    estimate.remove(ids[2:3])
+    left = np.delete(ids, 2)
+    _require(np.array_equal(estimate.ids, left), "remove: other ids are left than those that were not named")
+    _require(not estimate.has(int(ids[2])) and estimate.has(int(ids[3])), "has: the ids are others than those of `ids`")
+    _sound(estimate.belief(), len(left), "remove")
+
+
+def _sound(belief: Belief, landmarks: int, method: str) -> Belief:
+    shapes = [np.shape(part) for part in (belief.T_map_robot, belief.pose_cov, belief.p_map, belief.covs)]
+    expected = [(3,), (3, 3), (landmarks, 2), (landmarks, 2, 2)]
+    _require(shapes == expected, f"belief: shapes {shapes}, {expected} expected")
+    covs = [belief.pose_cov, *belief.covs]
+    finite = all(np.isfinite(part).all() for part in (belief.T_map_robot, belief.p_map, *covs))
+    _require(finite, f"{method}: a number is not finite")
+    _require(all(np.linalg.eigvalsh(cov).min() > -1e-12 for cov in covs), f"{method}: a covariance is not positive")
+    return belief
+
+
+def _same(one: Belief, other: Belief) -> bool:
+    pairs = ((one.T_map_robot, other.T_map_robot), (one.pose_cov, other.pose_cov), (one.p_map, other.p_map))
+    return all(np.array_equal(a, b) for a, b in pairs)
+
+
+def _require(holds: bool, said: str) -> None:
+    if not holds:
+        raise FilterError(said)
+
+
+class Watched(Associator):
+    """An associator that is looked at: its matches are checked, and that map and filter stay as they are."""
+
+    def __init__(self, associator: Associator) -> None:
+        self.associator, self.certain, self.recognised = associator, associator.certain, 0  # type: ignore[misc]
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """That of the associator. Raises `MatchError`."""
+        before, rows = belief.belief(), view.features.rows.tobytes()
+        match = self.associator.associate(corners, polygons, view, belief)
+        check_match(match, len(corners), len(view.features))
+        if not _same(before, belief.belief()) or rows != view.features.rows.tobytes():
+            raise MatchError("associate: it changes the filter or the map")
+        named = match.ids[match.decision == Decision.LANDMARK]
+        if len(set(named.tolist())) < len(named):
+            raise MatchError(f"match.ids: {sorted(named.tolist())}, each landmark at most once expected")
+        again = copy.deepcopy(self.associator).associate(corners, polygons, view, belief.copy())
+        if not np.array_equal(match.ids, again.ids):
+            raise MatchError("associate: another match for the same scan, map and filter")
+        self.recognised += len(named)
+        return match
+
+    def remember(self, match: Match) -> None:
+        """Pass it on."""
+        self.associator.remember(match)
+
+
+def check_associator(make: Callable[[AssociationConfig], Associator]) -> int:
+    """How many corners the associator that `make` makes recognises on a short drive in one room.
+
+    Raises `MatchError` where a match has columns of another length or type, an id that was never given out, a landmark
+    twice, where filter or map are changed, and where the same question is answered differently.
+    """
+    config = SlamConfig()
+    watched = Watched(make(config.association))
+    pipeline, T = SlamPipeline(config, associator=watched), np.array([0.0, 0.0, 0.0])
+    output = pipeline.start(room_scan(T))
+    for motion, T in drive():
+        output = pipeline.step(motion, room_scan(T))
+    if not len(output.belief.ids):
+        raise MatchError("associate: after a drive in one room, there is no landmark: no corner was left to be new")
+    return watched.recognised
+
+
+def drive() -> Iterator[tuple[Odometry, Array]]:
+    """Odometry and true pose of a straight drive."""
+    for step in range(1, 2 * STEPS + 1):
+        cov = np.diag([0.003, 0.003])[None] ** 2
+        yield Odometry(np.array([[STEP_M, 0.0]]), cov, bumper=False), np.array([step * STEP_M, 0.0, 0.0])
+
+
+def room_scan(T_map_robot: Array) -> Scan:
+    """A scan without noise in the room of `WALLS`."""
+    bearings: Array = np.linspace(-math.pi, math.pi, BEAMS + 1)[1:]
+    corners = to_robot(T_map_robot, WALLS)
+    starts, along = corners, np.roll(corners, -1, axis=0) - corners
+    d = np.column_stack((np.cos(bearings), np.sin(bearings)))[:, None]
+    across = d[..., 0] * along[:, 1] - d[..., 1] * along[:, 0]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        r = (starts[:, 0] * along[:, 1] - starts[:, 1] * along[:, 0]) / across
+        t = (starts[:, 0] * d[..., 1] - starts[:, 1] * d[..., 0]) / across
+    ranges = np.where((r > 0.0) & (t >= -1e-9) & (t <= 1.0 + 1e-9), r, MAX_RANGE_M).min(axis=1)
+    return Scan(ranges[None], bearings[None], (ranges < MAX_RANGE_M)[None], MAX_RANGE_M)

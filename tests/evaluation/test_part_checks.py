@@ -1,0 +1,149 @@
+"""The checks of custom parts: ours pass, and each kind of mistake is named with its method."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mecp_env.evaluation.part_checks import check_associator, check_filter
+from mecp_env.slam import MatchError, SlamConfig
+from mecp_env.slam.association import ASSOCIATORS, make_associator
+from mecp_env.slam.config import METHODS
+from mecp_env.slam.filters import FILTERS, Ekf, FilterError, make_filter
+from mecp_env.slam.messages import Decision
+
+
+@pytest.mark.parametrize("kind", sorted(FILTERS))
+def test_our_filters_pass(kind: str) -> None:
+    check_filter(lambda config: make_filter(config.model_copy(update={"kind": kind})))
+
+
+@pytest.mark.parametrize("method", sorted(set(ASSOCIATORS) - {"known"}))
+def test_our_associators_pass(method: str) -> None:
+    assert method in METHODS.ours
+    recognised = check_associator(lambda config: make_associator(config.model_copy(update={"method": method})))
+    assert recognised > 30
+
+
+class Frozen(Ekf):
+    def update(self, *_: Any, **__: Any) -> None:
+        """Nothing is learnt."""
+
+
+class Deaf(Ekf):
+    def update(self, z: Any, R: Any, ids: Any, iterate: bool = False) -> None:
+        held = np.isin(ids, self.ids)
+        super().update(z[held], np.diag(np.diag(R)[np.repeat(held, 2)]), ids[held], iterate)
+
+
+class Shared(Ekf):
+    def copy(self) -> Any:
+        return self
+
+
+class Shifted(Ekf):
+    def individual_nis(self, z: Any, R: Any, ids: Any) -> Any:
+        return 2.0 * super().individual_nis(z, R, ids) + 1.0
+
+
+class Broken(Ekf):
+    def belief(self) -> Any:
+        found = super().belief()
+        return type(found)(found.T_map_robot, -found.pose_cov, found.ids, found.p_map, found.covs)
+
+
+class Flat(Ekf):
+    def belief(self) -> Any:
+        found = super().belief()
+        return type(found)(found.T_map_robot, found.pose_cov, found.ids, found.p_map[:, 0], found.covs)
+
+
+class Keeping(Ekf):
+    def remove(self, ids: Any) -> None:
+        """Nothing is forgotten."""
+
+
+@pytest.mark.parametrize(
+    ("mine", "method"),
+    [
+        (Frozen, "update"),
+        (Deaf, "update"),
+        (Shared, "copy"),
+        (Shifted, "individual_nis"),
+        (Broken, "predict"),
+        (Flat, "belief"),
+        (Keeping, "remove"),
+    ],
+)
+def test_what_is_wrong_with_a_filter_is_named(mine: Any, method: str) -> None:
+    with pytest.raises(FilterError, match=f"^{method}: "):
+        check_filter(mine)
+
+
+class Own:
+    """The default associator, spoilt."""
+
+    certain = False
+
+    def __init__(self, config: Any, spoil: Any) -> None:
+        self.inner, self.spoil = make_associator(config), spoil
+
+    def associate(self, corners: Any, polygons: Any, view: Any, belief: Any) -> Any:
+        return self.spoil(self.inner.associate(corners, polygons, view, belief), view, belief)
+
+    def remember(self, match: Any) -> None:
+        self.inner.remember(match)
+
+
+def twice(match: Any, view: Any, belief: Any) -> Any:
+    found = match.recognised()
+    return match.assign(found[:2], match.ids[found[0]], int(Decision.LANDMARK), 0) if len(found) > 1 else match
+
+
+def unknown(match: Any, view: Any, belief: Any) -> Any:
+    return match.assign(0, 10_000, int(Decision.LANDMARK), 0)
+
+
+def short(match: Any, view: Any, belief: Any) -> Any:
+    return type(match)(match.ids[:-1], match.decision, match.reason, match.nis, -1, -1)
+
+
+def moving(match: Any, view: Any, belief: Any) -> Any:
+    belief.set_pose(np.array([0.1, 0.0, 0.0]))
+    return match
+
+
+@pytest.mark.parametrize(
+    ("spoil", "said"),
+    [(twice, "at most once"), (unknown, "10000"), (short, "match.ids"), (moving, "changes the filter")],
+)
+def test_what_is_wrong_with_an_associator_is_named(spoil: Any, said: str) -> None:
+    with pytest.raises(MatchError, match=said):
+        check_associator(lambda config: Own(config, spoil))
+
+
+def test_an_associator_that_finds_nothing_new_is_named() -> None:
+    def all_ignored(match: Any, view: Any, belief: Any) -> Any:
+        return match.assign(slice(None), -1, int(Decision.IGNORED), 0)
+
+    with pytest.raises(MatchError, match="no landmark"):
+        check_associator(lambda config: Own(config, all_ignored))
+
+
+def test_answers_must_not_depend_on_chance() -> None:
+    rng = np.random.default_rng(0)
+
+    def drawn(match: Any, view: Any, belief: Any) -> Any:
+        found = match.recognised()
+        return match.assign(found[rng.random(len(found)) < 0.5], -1, int(Decision.IGNORED), 0)
+
+    with pytest.raises(MatchError, match="same scan"):
+        check_associator(lambda config: Own(config, drawn))
+
+
+def test_the_default_configuration_is_used() -> None:
+    seen = []
+    check_associator(lambda config: seen.append(config) or make_associator(config))
+    assert seen == [SlamConfig().association]
