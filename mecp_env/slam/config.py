@@ -159,23 +159,19 @@ class PolygonConfig(Settings):
 class DynamicObjectsConfig(Settings):
     """Pedestrians and boxes on floor seen free before, and the landmarks that they leave; paper: a static world."""
 
-    GONE: ClassVar = frozenset({"closure_nis"})
+    GONE: ClassVar = frozenset({"closure_nis", "range_m", "max_sigma_m", "wall_m", "prune_nearest_m"})
     DERIVED: ClassVar = ("closure_nis",)
 
     margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
     sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
-    max_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of that place; with a larger one nothing is decided
-    range_m: float = Field(15.0, gt=0.0, le=100.0)
     beams: int = Field(4, ge=1, le=100)  # neighbours, at least, that make a dynamic object, or see through a landmark
-    wall_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer segment is a wall, whatever the map says
     body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
     closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # a less certain pose needs two corners for a closure, where
     # the one fits worse than `closure_nis`, or
     width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner. A new
     # corner less than half the larger width away from a dynamic beam is ignored
     prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
-    prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark, and at least
-    prune_nearest_m: float = Field(0.4, gt=0.0, le=100.0)  # this: what is nearer is seen too steeply
+    prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark
     beside_m: float = Field(0.12, gt=0.0, le=5.0)  # evidence: all beams this near to the landmark's place end
     beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # this far beyond it; or
     facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall within half of `beside_m` of its place, which faces as

@@ -167,7 +167,7 @@ class SlamPipeline(SlamParts):
     def _map_scan(self, around: Surroundings, seen: Sighting, sharp: bool) -> tuple[Match, Belief]:
         """Landmarks, rooms, polygons and grid after this scan; its match with the ids of new features, the belief."""
         beams, segments = around.scan.beams, around.scan.segments
-        dynamic = self.dynamic_objects.find(beams, segments, seen.belief, self.grid.canvas.grid)
+        dynamic = self.dynamic_objects.find(beams, seen.belief, self.grid.canvas.grid)
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
         seen = self._extend_map(seen.with_match(static), around, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)

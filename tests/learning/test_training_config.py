@@ -56,8 +56,7 @@ def test_older_names_of_dynamic_objects_in_a_run_folder_are_read(tmp_path):
     older = {"transients": {"refutations": 6, "longest_m": 1.5, "most_sigma_m": 0.2}, "tracks": {"fuse_m": 0.1}}
     file.write_text(json.dumps({"environment": {"slam": older}}))
     slam = SlamConfig(**read_config(file)["environment"]["slam"])
-    assert (slam.dynamic_objects.prune_scans, slam.dynamic_objects.wall_m) == (6, 1.5)
-    assert (slam.dynamic_objects.max_sigma_m, slam.tracks.merge_m) == (0.2, 0.1)
+    assert (slam.dynamic_objects.prune_scans, slam.tracks.merge_m) == (6, 0.1)
 
 
 def test_numbers_that_now_follow_from_others_are_left_out_of_an_older_run_folder(tmp_path):

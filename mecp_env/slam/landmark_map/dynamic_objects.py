@@ -56,17 +56,13 @@ class DynamicObjects:
         sure: bool = max(S[0, 0], z[0, 0] ** 2 * S[1, 1]) <= self.config.closure_sigma_m**2
         return sure
 
-    def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
-        """(B,) the beams that end on something on floor that the map has seen free.
-
-        Beams on segments longer than `wall_m` are not considered: they are on walls, whatever the map says.
-        """
+    def find(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Bools | None:
+        """(B,) the beams that end on something on floor that the map has seen free."""
         if not grid.label.size:
             return None
         pose_cov, limits = np.ascontiguousarray(belief.pose_cov), self.config.record
-        asked = beams_off_walls(beams.hit, segments.points, segments.first, segments.last, segments.roll, limits)
         floor = grid.label, grid.origin, grid.resolution_m
-        marked = mark_dynamic(beams.ranges, beams.bearings, asked, belief.T_map_robot, pose_cov, floor, limits)
+        marked = mark_dynamic(beams.ranges, beams.bearings, beams.hit, belief.T_map_robot, pose_cov, floor, limits)
         return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked, limits) if len(marked) else None
 
     def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
@@ -91,7 +87,7 @@ class StaticWorld(DynamicObjects):
     ) -> Match:
         return match
 
-    def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
+    def find(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Bools | None:
         return None
 
 
@@ -134,27 +130,16 @@ def find_lone_closures(ids: Ints, decision: Ints, nis: Array, z: Array, rows: Ro
 
 
 @compiled
-def beams_off_walls(hit: Bools, points: Array, first: Ints, last: Ints, roll: int, config: Rows) -> Bools:
-    """(B,) the hits but for those on long segments."""
-    size, asked = hit.shape[0], hit.copy()
-    for k in range(first.shape[0]):
-        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > config[0].wall_m:
-            for position in range(first[k] + roll, last[k] + roll + 1):
-                asked[position if position < size else position - size] = False
-    return asked
-
-
-@compiled
 def mark_dynamic(
     ranges: Array,
     bearings: Array,
-    asked: Bools,
+    hit: Bools,
     T_map_robot: Array,
     pose_cov: Array,
     floor: tuple[Bytes, Array, float],
     config: Rows,
 ) -> Bools:
-    """(B,) the beams in runs of beams that were `asked` and end on floor; (0,) without any.
+    """(B,) the hits in runs of beams that end on floor; (0,) without any.
 
     `floor` is the labels (H,W), the origin and the resolution of the grid.
     """
@@ -164,7 +149,7 @@ def mark_dynamic(
     turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
     for i in range(ranges.shape[0]):
         sigma = place_sigma + ranges[i] * turn_sigma
-        on_floor = asked[i] and ranges[i] < limits.range_m and sigma < limits.max_sigma_m
+        on_floor = hit[i]
         if on_floor:
             p_x, p_y = x + ranges[i] * math.cos(heading + bearings[i]), y + ranges[i] * math.sin(heading + bearings[i])
             on_floor = is_floor(floor, p_x, p_y, limits.margin_m + limits.sigmas * sigma)

@@ -59,8 +59,7 @@ def count_doubts(
         sigma = math.sqrt(max(place_var + r * r * turn_var + covs[k, 0, 0] + covs[k, 1, 1], 0.0))
         if rows[f].last_step == step:
             rows[f].doubts = 0
-        judged = limits.prune_nearest_m < r < limits.prune_range_m and sigma <= limits.max_sigma_m
-        if rows[f].last_step == step or not judged:
+        if rows[f].last_step == step or not 0.0 < r < limits.prune_range_m:
             continue
         x, y = c * dx + s * dy, c * dy - s * dx
         slack, heading = limits.sigmas * sigma, T_map_robot[2]
