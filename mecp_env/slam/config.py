@@ -159,17 +159,14 @@ class PolygonConfig(Settings):
 class DynamicObjectsConfig(Settings):
     """Pedestrians and boxes on floor seen free before, and the landmarks that they leave; paper: a static world."""
 
-    GONE: ClassVar = frozenset({"closure_nis", "range_m", "max_sigma_m", "wall_m", "prune_nearest_m"})
-    DERIVED: ClassVar = ("closure_nis",)
+    GONE: ClassVar = frozenset(
+        {"range_m", "max_sigma_m", "wall_m", "prune_nearest_m", "closure_nis", "closure_sigma_m", "width_m", "beams"}
+    )
 
     margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
     sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
-    beams: int = Field(4, ge=1, le=100)  # neighbours, at least, that make a dynamic object, or see through a landmark
-    body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
-    closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # a less certain pose needs two corners for a closure, where
-    # the one fits worse than `closure_nis`, or
-    width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner. A new
-    # corner less than half the larger width away from a dynamic beam is ignored
+    body_m: float = Field(0.45, ge=0.0, le=5.0)  # from the middle of dynamic beams: what ends nearer is of the same
+    # body, and a new corner nearer to one of them is ignored
     prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
     prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark
     beside_m: float = Field(0.12, gt=0.0, le=5.0)  # evidence: all beams this near to the landmark's place end
@@ -177,11 +174,6 @@ class DynamicObjectsConfig(Settings):
     facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall within half of `beside_m` of its place, which faces as
     # the landmark does within this angle, goes on
     inside_m: float = Field(0.35, ge=0.0, le=5.0)  # this far on both sides
-
-    @property
-    def closure_nis(self) -> float:
-        """A corner that fits its landmark worse is doubtful: 99 % of those that are one fit better."""
-        return chi2_of_point(0.99)
 
 
 class PanoramaConfig(Settings):

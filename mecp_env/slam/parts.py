@@ -55,7 +55,7 @@ class SlamParts:
         self.divergence = Divergence(config.filter.diverged_sigma_m)
         self.map = LandmarkMap(config)
         self.rooms = RoomGraphEstimator(config.rooms)
-        self.dynamic_objects = make_dynamic_objects(config.dynamic_objects)
+        self.dynamic_objects = make_dynamic_objects(config.dynamic_objects, config.sensor)
         self.grid = GridPainter(config.grid)
         self.recent = RecentScans(config)
         self.guard = PoseGuard(

@@ -80,7 +80,7 @@ def is_seen_through(beams: tuple[Array, Array, bool], r: float, bearing: float, 
     step = (bearings[size - 1] - bearings[0]) / (size - 1)
     middle = round((bearing - bearings[0]) / step)
     half = int((limits.beside_m + slack) / (r * step)) + 1
-    if 2 * half + 1 < limits.beams or 2 * half >= size:
+    if 2 * half >= size:
         return False
     if blind and not half <= middle < size - half:
         return False

@@ -158,17 +158,3 @@ def find_unconfirmed(rows: Rows, landmarks: Ints, config: Rows, step: int) -> In
             found[count] = f
             count += 1
     return found[:count]
-
-
-@compiled
-def room_unseen_since(ids: Ints, rows: Rows, oldest: int) -> bool:
-    """True when of some room among the landmarks `ids` no landmark was seen since the step `oldest`."""
-    for i in ids:
-        unseen = True
-        for f in range(rows.shape[0]):
-            if rows[f].room == rows[i].room and rows[f].state == LANDMARK and rows[f].last_step >= oldest:
-                unseen = False
-                break
-        if unseen:
-            return True
-    return False

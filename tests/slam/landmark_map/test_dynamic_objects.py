@@ -9,7 +9,6 @@ import pytest
 
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig
 from mecp_env.slam.landmark_map.dynamic_objects import (
-    DynamicObjects,
     StaticWorld,
     make_dynamic_objects,
     without_dynamic,
@@ -18,11 +17,11 @@ from mecp_env.slam.landmark_map.pruning import find_pruned
 from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, Segments, SemanticGrid
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam.drives import scripted_drive
-from tests.slam.scans import front_end, ring, take_scan
+from tests.slam.scans import PAPER, front_end, ring, take_scan
 from tests.slam.tables import table_of
 
 CONFIG = DynamicObjectsConfig()
-STAGE = DynamicObjects(CONFIG)
+STAGE = make_dynamic_objects(CONFIG, PAPER)
 ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
 ORIGIN = np.array([-4.0, -3.0])
 
@@ -84,7 +83,7 @@ def test_nothing_is_dynamic_in_an_empty_room(seed):
 def test_nothing_is_dynamic_where_it_may_be_a_wall_or_in_the_static_world_of_the_paper():
     beams, _, _, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
     assert STAGE.find(beams, belief(sigma=1.5), empty_room()) is None
-    paper = make_dynamic_objects(SlamConfig.paper().dynamic_objects)
+    paper = make_dynamic_objects(SlamConfig.paper().dynamic_objects, PAPER)
     assert type(paper) is StaticWorld
     assert paper.find(beams, belief(), empty_room()) is None
 
@@ -101,7 +100,7 @@ def test_no_wall_is_painted_where_a_dynamic_object_is():
 
 
 def test_corners_of_a_dynamic_object_are_ignored_and_those_of_the_room_are_not():
-    beams, _, segments, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
+    beams, _, _, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
     dynamic = STAGE.find(beams, belief(), empty_room())
     n = len(corners)
     new = Match(np.full(n, -1), np.full(n, int(Decision.NEW)), np.zeros(n, int), np.full(n, np.nan), -1, -1)

@@ -5,11 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import DynamicObjectsConfig, TrackConfig
-from mecp_env.slam.landmark_map.dynamic_objects import find_lone_closures
+from mecp_env.slam.config import TrackConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
-from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, room_unseen_since, track_corners
+from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Belief,
@@ -27,7 +26,6 @@ from mecp_env.slam.messages import (
 )
 from tests.slam.tables import table_of
 
-LIMITS = DynamicObjectsConfig().record
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 ORIGIN = Belief(np.zeros(3), np.eye(3) * 1e-6, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
 
@@ -112,32 +110,6 @@ def test_a_track_that_the_associator_chose_is_no_other_corners_track():
     found, confirmed = track_corners(table, seen, graph_of(), TrackConfig())
     assert found.ids[1] == first != found.ids[0]
     assert len(set(found.ids[confirmed].tolist())) == len(confirmed)
-
-
-def test_a_room_unseen_for_a_while_is_told_apart():
-    rows = table_of(3, room=[0, 0, 1], state=1, last_step=[5, 95, 40]).rows
-    assert not room_unseen_since(np.array([0]), rows, 90)
-    assert room_unseen_since(np.array([2]), rows, 90)
-    assert room_unseen_since(np.array([1, 2]), rows, 90)
-
-
-def doubted(ids, places, last=(100, 100, 5, 5), nis=1.0):
-    """The corners to doubt; features 0 and 1 are of room 0, 2 and 3 of room 1, which was not seen lately."""
-    decision = np.array([int(Decision.IGNORED) if i < 0 else int(Decision.LANDMARK) for i in ids])
-    z = np.array([(np.hypot(x, y), np.arctan2(y, x)) for x, y in places])
-    rows = table_of(4, room=[0, 0, 1, 1], state=FeatureState.LANDMARK, last_step=last).rows
-    return find_lone_closures(np.array(ids), decision, np.full(len(ids), nis), z, rows, LIMITS, 90).tolist()
-
-
-def test_a_room_is_not_recognised_by_one_side_of_a_pedestrian():
-    here, jamb, side = (-2.0, 0.0), (3.0, 1.0), (3.0, 1.35)
-    assert doubted([0, 2, -1], [here, jamb, side]) == [1]
-    assert doubted([0, 2, -1], [here, jamb, (3.0, 1.1)]) == []  # as near as the other face of a wall
-    assert doubted([0, 2, -1], [here, jamb, (3.0, 1.6)]) == []
-    assert doubted([0, 2], [here, jamb], nis=10.0) == [1]  # no other corner near it, but a bad fit
-    assert doubted([0, 2, 1], [here, jamb, side]) == []  # both are known
-    assert doubted([2, 3, -1], [here, jamb, side]) == []  # two landmarks of the room
-    assert doubted([0, 2, -1], [here, jamb, side], last=(100, 100, 5, 95)) == []  # a room seen all the while
 
 
 def landmarks(rooms):
