@@ -161,19 +161,15 @@ class DynamicObjectsConfig(Settings):
 
     GONE: ClassVar = frozenset(
         {"range_m", "max_sigma_m", "wall_m", "prune_nearest_m", "closure_nis", "closure_sigma_m", "width_m", "beams"}
+        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m"}
     )
 
     margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
     sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
     body_m: float = Field(0.45, ge=0.0, le=5.0)  # from the middle of dynamic beams: what ends nearer is of the same
     # body, and a new corner nearer to one of them is ignored
-    prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
-    prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark
-    beside_m: float = Field(0.12, gt=0.0, le=5.0)  # evidence: all beams this near to the landmark's place end
-    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # this far beyond it; or
-    facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall within half of `beside_m` of its place, which faces as
-    # the landmark does within this angle, goes on
-    inside_m: float = Field(0.35, ge=0.0, le=5.0)  # this far on both sides
+    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # evidence against a landmark: all beams go on this far behind it, or
+    # a wall this far on both sides of it
 
 
 class PanoramaConfig(Settings):
@@ -194,26 +190,23 @@ class PanoramaConfig(Settings):
 class TrackConfig(Settings):
     """From a corner seen once to a landmark."""
 
-    GONE: ClassVar = frozenset({"merge_nis"})
-    DERIVED: ClassVar = ("merge_nis",)
+    GONE: ClassVar = frozenset(
+        {"merge_nis", "merge_m", "end_sightings", "jamb_sightings", "gate_sigmas", "descriptor_deg"}
+    )
+    DERIVED: ClassVar = ("jamb_sightings",)
 
     sightings: int = Field(3, ge=1, le=20)
-    jamb_sightings: int = Field(2, ge=1, le=20)
-    end_sightings: int = Field(6, ge=1, le=20)  # of a line end in another room: it may be a pedestrian
     few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough (jambs do not count
     # where predictions are wide); one that is not seen as often as the others before the window ends is removed again
     window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped; to see a room again that was
     # not seen for longer is a loop closure
-    gate_m: float = Field(0.1, ge=0.0, le=5.0)
-    gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
-    descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)  # the most by which a face may turn
-    merge_m: float = Field(0.15, ge=0.0, le=2.0)  # landmarks of one descriptor nearer than this may be one corner; they
-    # are one within `merge_nis`
+    gate_m: float = Field(0.1, ge=0.0, le=5.0)  # of a corner from its track, beside its noise
+    merge: bool = True  # landmarks of one descriptor that may be one corner are one; paper: none
 
     @property
-    def merge_nis(self) -> float:
-        """The gate of two landmarks that may be one: 95 % of those that are one lie inside."""
-        return chi2_of_point(0.95)
+    def jamb_sightings(self) -> int:
+        """One less for a jamb: the other jamb of its door vouches for it."""
+        return max(self.sightings - 1, 1)
 
 
 class AssociationConfig(Settings):
@@ -239,6 +232,11 @@ class AssociationConfig(Settings):
     most_pairs: int = Field(48, ge=4, le=256)
     search_budget: int = Field(100_000, ge=1, le=100_000_000)  # nodes that jcbb and ccda try at most in a scan; then
     # the best set of pairs so far counts
+
+    @property
+    def face_turn_rad(self) -> float:
+        """The most by which a face may turn: any turn where descriptors are not used."""
+        return math.radians(self.descriptor_deg) if self.use_descriptor else math.pi
 
     def is_sharp(self, belief: Belief) -> bool:
         """True while the pose is so well known that one linearisation is enough."""
@@ -361,10 +359,8 @@ class SlamConfig(Settings):
                 tolerance_sigmas=0.0, check_walls=False, sites="corners", widest_gap_m=1.2
             ),  # III-A.2: exact
             panorama=PanoramaConfig(use="never"),
-            dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0),  # a static world
-            tracks=TrackConfig(
-                sightings=1, jamb_sightings=1, end_sightings=1, merge_m=0.0, descriptor_deg=180.0
-            ),  # augmented at once
+            dynamic_objects=DynamicObjectsConfig(margin_m=0.0),  # a static world
+            tracks=TrackConfig(sightings=1, merge=False),  # augmented at once
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
                 use_descriptor=False,

@@ -1,8 +1,9 @@
 """Dynamic objects: what is where the map has seen free floor has moved there, and no corner of it is a landmark.
 
 Differs from the paper: its world is static. Beams that end on floor seen free before, well away from all that is not
-free, come from something that moved in since, if they are more than can be mixed at an edge; a line fitted to such
-beams is not a wall, and none is painted where they end. In a static world every hit is on a wall, beside which the map has no free floor: nothing is dynamic.
+free, come from something that moved in since, if they are more than noise mixes at an edge; a line fitted to such beams
+is not a wall, and none is painted where they end. In a static world every hit is on a wall, beside which the map has no
+free floor: nothing is dynamic.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from mecp_env.slam.landmark_map.dynamic_objects import (
     make_dynamic_objects,
     without_dynamic,
 )
-from mecp_env.slam.landmark_map.pruning import find_pruned
+from mecp_env.slam.landmark_map.pruning import PruneLimits, find_pruned
 from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, Segments, SemanticGrid
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam.drives import scripted_drive
@@ -21,6 +21,7 @@ from tests.slam.scans import PAPER, front_end, ring, take_scan
 from tests.slam.tables import table_of
 
 CONFIG = DynamicObjectsConfig()
+LIMITS = PruneLimits.of(SlamConfig())
 STAGE = make_dynamic_objects(CONFIG, PAPER)
 ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
 ORIGIN = np.array([-4.0, -3.0])
@@ -53,14 +54,14 @@ def belief(*p_map, sigma=0.01):
     return Belief(np.zeros(3), pose_cov, np.arange(n), np.array(p_map, float).reshape(n, 2), covs)
 
 
-def judged(faces, landmark, normals, scans=6, seen_in=(), config=CONFIG):
+def judged(faces, landmark, normals, scans=6, seen_in=()):
     """The step in which the landmark is pruned, or None."""
     table, where = table_of(1, normals=normals), belief(landmark)
     for step in range(1, scans + 1):
         beams, _, segments, _ = front_end(take_scan(faces, seed=step))
         if step in seen_in:
             table.rows["last_step"][0] = step
-        if len(find_pruned(beams, segments, where, table, step, config)):
+        if len(find_pruned(beams, segments, where, table, step, LIMITS)):
             return step
     return None
 
@@ -115,7 +116,7 @@ def test_corners_of_a_dynamic_object_are_ignored_and_those_of_the_room_are_not()
 
 
 def test_a_landmark_is_forgotten_when_beams_pass_well_beyond_it():
-    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan)) == CONFIG.prune_scans
+    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan)) == LIMITS.scans
 
 
 def test_one_that_is_seen_again_is_not():
@@ -145,16 +146,11 @@ def test_corners_of_things_that_stand_in_the_room_stay(x, y, turn):
 
 
 def test_a_corner_against_a_wall_is_forgotten_when_the_wall_is_seen_whole():
-    assert judged(ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0)) == CONFIG.prune_scans
+    assert judged(ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0)) == LIMITS.scans
 
 
 def test_a_corner_on_the_other_side_of_the_wall_stays():
     assert judged(ROOM, (4.04, 0.5), (0.0, -math.pi / 2.0), scans=30) is None
-
-
-def test_switched_off_nothing_is_pruned():
-    off = DynamicObjectsConfig(prune_scans=0)
-    assert judged(ROOM, (1.5, 0.5), (math.pi, np.nan), config=off) is None
 
 
 def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
@@ -169,7 +165,7 @@ def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
 
 
 def test_nothing_is_dynamic_and_nothing_pruned_in_a_static_world():
-    still = SlamConfig(dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0))
+    still = SlamConfig(dynamic_objects=DynamicObjectsConfig(margin_m=0.0))
     drive = scripted_drive(seed=3)
     for (_, watched, _, _), (_, plain, _, _) in zip(drive.run(SlamConfig()), drive.run(still), strict=True):
         assert watched.belief.p_map.tobytes() == plain.belief.p_map.tobytes()

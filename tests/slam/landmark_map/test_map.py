@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import TrackConfig
+from mecp_env.slam.config import SlamConfig, TrackConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
 from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
@@ -58,8 +58,8 @@ def graph_of(current=0, merged=None, in_doorway=False):
 
 
 def see(table, points, step, kind=0, config=None, graph=None):
-    config = config or TrackConfig(few_matches=0)
-    drop_tracks(table, step, config)
+    config = SlamConfig(tracks=config or TrackConfig(few_matches=0))
+    drop_tracks(table, step, config.tracks)
     nowhere = np.full(len(points), -1, np.int64)
     seen = Sighting(corners_at(points, kind), match_of([Decision.NEW] * len(points)), nowhere, ORIGIN, step)
     return track_corners(table, seen, graph or graph_of(), config)
@@ -107,7 +107,7 @@ def test_a_track_that_the_associator_chose_is_no_other_corners_track():
     first = see(table, [[2.0, 1.0]], 0)[0].ids[0]
     match = match_of([Decision.NEW, Decision.PROVISIONAL], [-1, first])
     seen = Sighting(corners_at([[2.0, 1.0], [2.0, 1.1]]), match, np.full(2, -1, np.int64), ORIGIN, 1)
-    found, confirmed = track_corners(table, seen, graph_of(), TrackConfig())
+    found, confirmed = track_corners(table, seen, graph_of(), SlamConfig())
     assert found.ids[1] == first != found.ids[0]
     assert len(set(found.ids[confirmed].tolist())) == len(confirmed)
 
@@ -219,20 +219,20 @@ def believed(offset):
 def test_two_landmarks_on_one_corner_are_found():
     table, belief = believed(0.03)
     seen = match_of([Decision.LANDMARK], [1])
-    assert find_duplicate(table, belief, seen, TrackConfig()) == (0, 1)
+    assert find_duplicate(table, belief, seen, SlamConfig()) == (0, 1)
 
 
 def test_two_faces_of_a_wall_are_no_duplicates():
     table, belief = believed(0.03)
     table.rows["normals"][1] += np.pi
-    assert find_duplicate(table, belief, match_of([Decision.LANDMARK], [1]), TrackConfig()) is None
+    assert find_duplicate(table, belief, match_of([Decision.LANDMARK], [1]), SlamConfig()) is None
 
 
 @pytest.mark.parametrize(("offset", "ids"), [(0.2, [1]), (0.03, [0, 1])])
 def test_landmarks_apart_or_seen_side_by_side_are_two(offset, ids):
     table, belief = believed(offset)
     match = match_of([Decision.LANDMARK] * len(ids), ids)
-    assert find_duplicate(table, belief, match, TrackConfig()) is None
+    assert find_duplicate(table, belief, match, SlamConfig()) is None
 
 
 def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_seen_again_is_removed():
@@ -248,7 +248,7 @@ def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_
 
 def test_jambs_in_view_do_not_count_where_predictions_are_wide():
     """At odometry x4 the pose was lost beyond a door: all in view before it were two jambs and two corners."""
-    points, config = np.array([[0.4, 0.5], [0.4, -0.5], [-1.0, 1.0], [-1.0, -1.0], [3.0, 1.0]]), TrackConfig()
+    points, config = np.array([[0.4, 0.5], [0.4, -0.5], [-1.0, 1.0], [-1.0, -1.0], [3.0, 1.0]]), SlamConfig()
     decisions = [Decision.LANDMARK] * 4 + [Decision.NEW]
     for kind, wide, confirmed in (
         (CornerKind.CROSSING, True, []),
@@ -261,14 +261,14 @@ def test_jambs_in_view_do_not_count_where_predictions_are_wide():
         assert track_corners(table, seen, graph_of(), config, wide)[1].tolist() == confirmed
 
 
-def test_a_line_end_in_another_room_needs_more_sightings_and_belongs_to_the_room_that_it_is_seen_from_inside():
+def test_a_line_end_belongs_to_the_room_that_it_is_seen_from_inside():
     config = TrackConfig(few_matches=0)
     table, end = FeatureTable(), int(CornerKind.FREE_END)
-    from_doorway = [see(table, [[2.0, 1.0]], step, end, config, graph_of(in_doorway=True)) for step in range(6)]
-    assert [len(confirmed) for _, confirmed in from_doorway] == [0, 0, 0, 0, 0, 1]
+    from_doorway = [see(table, [[2.0, 1.0]], step, end, config, graph_of(in_doorway=True)) for step in range(3)]
+    assert [len(confirmed) for _, confirmed in from_doorway] == [0, 0, 1]
     assert table.rows["room"].tolist() == [UNKNOWN_ROOM]
-    see(table, [[2.0, 1.0]], 6, end, config, graph_of(current=1))
-    see(table, [[2.0, 1.0]], 7, end, config, graph_of(current=0))
+    see(table, [[2.0, 1.0]], 3, end, config, graph_of(current=1))
+    see(table, [[2.0, 1.0]], 4, end, config, graph_of(current=0))
     assert table.rows["room"].tolist() == [1]
 
 
