@@ -212,7 +212,7 @@ class TrackConfig(Settings):
 class AssociationConfig(Settings):
     """III-B, data association."""
 
-    GONE: ClassVar = frozenset({"most_seeds"})
+    GONE: ClassVar = frozenset({"most_seeds", "iterations", "most_pairs", "sharp_sigma_deg", "ignore_gate"})
 
     method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # one of METHODS, or one registered
     use_polygons: bool = True
@@ -223,15 +223,17 @@ class AssociationConfig(Settings):
     gate_probability: float = Field(0.99995, gt=0.5, lt=1.0)  # measured: at 0.999 recall is 0.98, not 0.99
     descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)
     polygons_per_room: int = Field(32, ge=1, le=1000)
-    ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
+    ignore_near: bool = True  # what is nearer than `ignore_gate` to a landmark is neither old nor new; paper: new
     rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which a second choice must be worse, 95 %; paper: none
-    sharp_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of the predicted position; above, or
-    sharp_sigma_deg: float = Field(2.0, gt=0.0, le=180.0)  # above this of the heading, there are two passes, and the
-    # update is iterated
-    iterations: int = Field(8, ge=1, le=50)  # of the joint test of a polygon in the first one
-    most_pairs: int = Field(48, ge=4, le=256)
+    sharp_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of the predicted position, and by the heading of what is a
+    # metre away; above, there are two passes, and the update is iterated
     search_budget: int = Field(100_000, ge=1, le=100_000_000)  # nodes that jcbb and ccda try at most in a scan; then
     # the best set of pairs so far counts
+
+    @property
+    def ignore_gate(self) -> float:
+        """NIS of a corner and a landmark; twice the gate, as a landmark is that near by chance."""
+        return 2.0 * chi2_of_point(self.gate_probability) if self.ignore_near else 0.0
 
     @property
     def face_turn_rad(self) -> float:
@@ -242,7 +244,7 @@ class AssociationConfig(Settings):
         """True while the pose is so well known that one linearisation is enough."""
         x, y, heading = map(belief.pose_cov.item, (0, 4, 8))
         known: bool = max(x, y) < self.sharp_sigma_m**2
-        return known and heading < math.radians(self.sharp_sigma_deg) ** 2
+        return known and heading < self.sharp_sigma_m**2
 
 
 class FilterConfig(Settings):
@@ -366,7 +368,7 @@ class SlamConfig(Settings):
                 use_descriptor=False,
                 use_posts=False,  # IV: "we do not consider the end points of the door as a feature"
                 gate_probability=0.99,  # our choice: the paper names none
-                ignore_gate=0.0,  # what matches nothing is new
+                ignore_near=False,  # what matches nothing is new
                 rival_gap=0.0,  # the best match counts, however near the second is
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance
             ),
