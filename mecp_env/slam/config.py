@@ -109,11 +109,13 @@ class SegmentConfig(Settings):
 class GapConfig(Settings):
     """III, doors: which gaps between two line ends are doors."""
 
-    parallel_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between the two walls beside a door, faces in or square to it
-    oblique_deg: float = Field(60.0, gt=0.0, lt=90.0)  # between them, where the door is in line with one
-    offset_m: float = Field(0.15, gt=0.0, le=2.0)  # of a jamb from the line of the other wall
-    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on behind the gap for
-    deep_m: float = Field(0.7, gt=0.0, le=10.0)  # so far: else it is a niche
+    GONE: ClassVar = frozenset({"parallel_deg", "offset_m", "deep_m"})
+
+    oblique_deg: float = Field(
+        60.0, gt=0.0, lt=90.0
+    )  # between the two walls beside a door, where it is in line with one
+    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on deeper than any wall: else
+    # it is a niche
     plain_width_m: float = Field(1.3, gt=0.0, le=10.0)  # wider, a gap is a door only between walls in line, and
     # where the floor is seen to get wider behind it, just deeper than any wall
 
@@ -123,12 +125,13 @@ class CornerConfig(Settings):
 
     GONE: ClassVar = frozenset({"edge_beams"})
 
-    min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
+    min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner; else parallel
     detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
     line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
     reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
     step_share: float = Field(0.1, ge=0.0, le=1.0)  # of the range, by which consecutive beams of one surface differ
-    wall_thickness_m: float = Field(0.75, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
+    wall_thickness_m: float = Field(0.75, gt=0.0, le=5.0)  # a shorter face may be the end of a wall, and gaps whose
+    # middles are nearer are one
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
     face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
     passing_cost: float = Field(5.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
@@ -195,7 +198,7 @@ class TrackConfig(Settings):
     )
     DERIVED: ClassVar = ("jamb_sightings",)
 
-    sightings: int = Field(3, ge=1, le=20)
+    sightings: int = Field(3, ge=1, le=20)  # of a corner, and of a door
     few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough (jambs do not count
     # where predictions are wide); one that is not seen as often as the others before the window ends is removed again
     window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped; to see a room again that was
@@ -284,43 +287,26 @@ class LocalisationConfig(Settings):
 class RoomConfig(Settings):
     """III, rooms and doors."""
 
-    GONE: ClassVar = frozenset({"hysteresis_m", "recognise_by_corners_m"})
+    GONE: ClassVar = frozenset(
+        {"hysteresis_m", "recognise_by_corners_m", "confirm_sightings", "wall_thickness_m", "trail_step_m"}
+    )
 
-    confirm_sightings: int = Field(3, ge=1, le=MOST_SIGHTINGS)
-    wall_thickness_m: Limits = (0.05, 0.75)  # gaps whose middles are nearer than the larger one are the same
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)  # the robot is in a doorway up to here, behind it in the other room
     recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
     recognise_corners: int = Field(3, ge=1, le=100)
-    trail_step_m: float = Field(0.1, gt=0.0, le=10.0)  # between the places of the robot's path that are kept
-    trail_places: int = Field(512, ge=2, le=100_000)  # that are kept at most
-
-    @property
-    def recognise_by_corners_m(self) -> float:
-        """The same as `recognise_m` for single corners, a weaker sign: three times as far apart."""
-        return 3.0 * self.recognise_m
-
-    @property
-    def same_gap_m(self) -> float:
-        """Two gaps whose middles are nearer than this are one: the two faces of a door in the thickest wall."""
-        return self.wall_thickness_m[1]
-
-    @property
-    def behind_wall_m(self) -> float:
-        """A corner this far behind the middle of a door's wall is beyond the door."""
-        return self.wall_thickness_m[1] / 2.0
+    trail_places: int = Field(512, ge=2, le=100_000)  # of the robot's path, that are kept at most
 
 
 class GridConfig(Settings):
     """The semantic grid."""
+
+    GONE: ClassVar = frozenset({"doorway_m", "lever_m", "wall_m"})
 
     resolution_m: float = Field(0.1, ge=0.02, le=1.0)
     key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a key scan where no other of the room lies as near
     paint_range_m: float = Field(8.0, gt=0.0, le=100.0)
     occupied_ratio: float = Field(0.34, gt=0.0, le=1.0)  # a cell is a wall when this share of the votes says so
     anchors: int = Field(4, ge=2, le=16)  # landmarks that carry a key scan along when the map moves
-    doorway_m: float = Field(0.35, ge=0.0, le=2.0)  # a scan taken nearer to a door than this has no room
-    lever_m: float = Field(3.0, ge=0.0, le=100.0)  # a turn of a scan counts as the shift it causes at this distance
-    wall_m: float = Field(0.15, gt=0.0, le=2.0)  # depth of a wall of which one face is known
 
 
 class SlamConfig(Settings):
@@ -362,7 +348,7 @@ class SlamConfig(Settings):
             ),  # III-A.2: exact
             panorama=PanoramaConfig(use="never"),
             dynamic_objects=DynamicObjectsConfig(margin_m=0.0),  # a static world
-            tracks=TrackConfig(sightings=1, merge=False),  # augmented at once
+            tracks=TrackConfig(sightings=1, merge=False),  # augmented at once; a gap of door width is a door (III)
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
                 use_descriptor=False,
@@ -374,5 +360,4 @@ class SlamConfig(Settings):
             ),
             filter=FilterConfig(kind="ekf", update_iterations=1, second_order=False),  # standard EKF-SLAM
             localisation=LocalisationConfig(explained_share=0.0),  # the pose is always right
-            rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
         )
