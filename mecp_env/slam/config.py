@@ -56,6 +56,7 @@ class SensorModel(LaserNoise):
     edge_beams: int = Field(2, ge=1, le=10)  # that bearing noise mixes at an edge: left out of a line's fit, where the
     # segment is long enough; one more makes sure
     least_cosine: float = Field(0.035, gt=0.0, le=0.5)  # of the incidence (88 deg) at which a ray still meets its line
+    face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that a face too short for a segment must save
     merge_slope: float = Field(4.0, ge=0.0, le=100.0)
     """Ranges of one surface differ by this slope times range and bearing step: a surface seen at up to 76 deg."""
 
@@ -87,7 +88,7 @@ class ClusteringConfig(Settings):
 class SegmentConfig(Settings):
     """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a wall has room for one."""
 
-    GONE: ClassVar = frozenset({"trim_beams", "long_beams"})
+    GONE: ClassVar = frozenset({"trim_beams", "long_beams", "face_gain"})
     DERIVED: ClassVar = ("long_beams",)
 
     min_beams: int = Field(5, ge=3, le=100)
@@ -96,7 +97,6 @@ class SegmentConfig(Settings):
     shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face;
     # 0: plain Ramer-Douglas-Peucker, as the paper's
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
-    face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
     pillar_radius_m: float = Field(0.8, ge=0.0, le=5.0)  # a cluster that fits a smaller circle is a pillar; paper: none
 
@@ -123,7 +123,7 @@ class GapConfig(Settings):
 class CornerConfig(Settings):
     """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
-    GONE: ClassVar = frozenset({"edge_beams"})
+    GONE: ClassVar = frozenset({"edge_beams", "face_gain"})
 
     min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner; else parallel
     detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
@@ -133,7 +133,6 @@ class CornerConfig(Settings):
     wall_thickness_m: float = Field(0.75, gt=0.0, le=5.0)  # a shorter face may be the end of a wall, and gaps whose
     # middles are nearer are one
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
-    face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
     passing_cost: float = Field(5.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
     misfit: float = Field(2.0, gt=0.0, le=100.0)  # mean chi-square of its beams at most
     max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
@@ -289,11 +288,11 @@ class RoomConfig(Settings):
 
     GONE: ClassVar = frozenset(
         {"hysteresis_m", "recognise_by_corners_m", "confirm_sightings", "wall_thickness_m", "trail_step_m"}
+        | {"recognise_m"}
     )
 
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)  # the robot is in a doorway up to here, behind it in the other room
-    recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
-    recognise_corners: int = Field(3, ge=1, le=100)
+    recognise_corners: int = Field(3, ge=1, le=100)  # of another room, seen from two places, that merge rooms
     trail_places: int = Field(512, ge=2, le=100_000)  # of the robot's path, that are kept at most
 
 
@@ -303,7 +302,8 @@ class GridConfig(Settings):
     GONE: ClassVar = frozenset({"doorway_m", "lever_m", "wall_m"})
 
     resolution_m: float = Field(0.1, ge=0.02, le=1.0)
-    key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a key scan where no other of the room lies as near
+    key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a view from farther is another one: a key scan where no other of
+    # the room lies as near, and the second sign of another room
     paint_range_m: float = Field(8.0, gt=0.0, le=100.0)
     occupied_ratio: float = Field(0.34, gt=0.0, le=1.0)  # a cell is a wall when this share of the votes says so
     anchors: int = Field(4, ge=2, le=16)  # landmarks that carry a key scan along when the map moves

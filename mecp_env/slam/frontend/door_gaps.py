@@ -13,7 +13,6 @@ from mecp_env.slam.frontend.beams import Noise, Record, Records
 from mecp_env.slam.frontend.line_intersections import Lines, RolledScan
 
 Point = tuple[float, float]
-SPARE_RAD = 1e-3  # a beam farther beside a gap does not pass it, whatever the rounding
 
 
 @compiled
@@ -170,7 +169,7 @@ def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record,
     start = math.atan2(a[1], a[0])
     turn = wrap_angle(math.atan2(b[1], b[0]) - start)
     for q in range(scan.polar.shape[1]):
-        if not -SPARE_RAD < wrap_angle(scan.polar[1, q] - start) < turn + SPARE_RAD:
+        if not 0.0 < wrap_angle(scan.polar[1, q] - start) < turn:
             continue  # its direction is not needed
         x, y = math.cos(scan.polar[1, q]), math.sin(scan.polar[1, q])
         sideways, onward = x * ux + y * uy, x * uy - y * ux

@@ -24,7 +24,7 @@ class RoomLimits:
         """The limits that a configuration implies."""
         rooms = config.rooms
         of_others = config.tracks.sightings, config.corners.wall_thickness_m
-        return cls(*of_others, rooms.doorway_m, rooms.recognise_m, rooms.recognise_corners, rooms.trail_places)
+        return cls(*of_others, rooms.doorway_m, config.grid.key_scan_m, rooms.recognise_corners, rooms.trail_places)
 
     @property
     def recognise_by_corners_m(self) -> float:
