@@ -101,7 +101,7 @@ class ClutteredPipeline(SlamPipeline):
 
     def __init__(self, config: SlamConfig, chances: tuple[float, float], seed: int, **parts: Any) -> None:
         super().__init__(config, **parts)
-        self.rooms = ClutteredRooms(self.config.rooms)
+        self.rooms = ClutteredRooms(self.rooms.config)
         self.chances, self.seed = chances, seed
 
     def register(self, scan: ScanFeatures) -> bool:

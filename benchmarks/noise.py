@@ -42,7 +42,7 @@ VARIANTS: dict[str, Variant] = {
     "mecp in one pass": ONE_PASS,
     "jcbb with descriptor": rival("jcbb with descriptor"),
     "ccda with descriptor": rival("ccda with descriptor"),
-    "known": Variant({"association": {"method": "known"}, "tracks": {"merge_m": 0.0}}),
+    "known": Variant({"association": {"method": "known"}, "tracks": {"merge": False}}),
 }
 
 

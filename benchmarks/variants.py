@@ -108,7 +108,7 @@ def associators() -> dict[str, dict[str, Any]]:
     """What to change in an estimator for each associator that is registered now: one row or several of each."""
     rows: dict[str, dict[str, Any]] = {
         "mecp_paper": {"association": SlamConfig.paper().association.model_dump()},
-        "known": {"association": {"method": "known"}, "tracks": {"merge_m": 0.0}},
+        "known": {"association": {"method": "known"}, "tracks": {"merge": False}},
     }
     rows |= {name: {"association": fields} for name, fields in RIVALS.items()}
     names = (*METHODS.ours, *METHODS.others)

@@ -215,7 +215,7 @@ class EnvConfig(Settings):
         if self.estimator != "known":
             return slam
         known = slam.association.model_copy(update={"method": "known"})
-        return slam.model_copy(update={"association": known, "tracks": slam.tracks.model_copy(update={"merge_m": 0.0})})
+        return slam.model_copy(update={"association": known, "tracks": slam.tracks.model_copy(update={"merge": False})})
 
     @property
     def planning_config(self) -> PlanningConfig:

@@ -56,6 +56,7 @@ class SensorModel(LaserNoise):
     edge_beams: int = Field(2, ge=1, le=10)  # that bearing noise mixes at an edge: left out of a line's fit, where the
     # segment is long enough; one more makes sure
     least_cosine: float = Field(0.035, gt=0.0, le=0.5)  # of the incidence (88 deg) at which a ray still meets its line
+    face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that a face too short for a segment must save
     merge_slope: float = Field(4.0, ge=0.0, le=100.0)
     """Ranges of one surface differ by this slope times range and bearing step: a surface seen at up to 76 deg."""
 
@@ -87,7 +88,7 @@ class ClusteringConfig(Settings):
 class SegmentConfig(Settings):
     """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a wall has room for one."""
 
-    GONE: ClassVar = frozenset({"trim_beams", "long_beams"})
+    GONE: ClassVar = frozenset({"trim_beams", "long_beams", "face_gain"})
     DERIVED: ClassVar = ("long_beams",)
 
     min_beams: int = Field(5, ge=3, le=100)
@@ -96,7 +97,6 @@ class SegmentConfig(Settings):
     shift_beams: int = Field(8, ge=0, le=100)  # by which a break may move; the longest piece to absorb, or end face;
     # 0: plain Ramer-Douglas-Peucker, as the paper's
     max_alpha_sigma_deg: float = Field(8.0, gt=0.0, le=45.0)
-    face_gain: float = Field(6.0, ge=0.0, le=1000.0)  # chi-square that leaving out an end face must save
     parameter_gain: float = Field(4.0, ge=0.0, le=1000.0)  # chi-square that each parameter of a circle must save
     pillar_radius_m: float = Field(0.8, ge=0.0, le=5.0)  # a cluster that fits a smaller circle is a pillar; paper: none
 
@@ -109,11 +109,13 @@ class SegmentConfig(Settings):
 class GapConfig(Settings):
     """III, doors: which gaps between two line ends are doors."""
 
-    parallel_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between the two walls beside a door, faces in or square to it
-    oblique_deg: float = Field(60.0, gt=0.0, lt=90.0)  # between them, where the door is in line with one
-    offset_m: float = Field(0.15, gt=0.0, le=2.0)  # of a jamb from the line of the other wall
-    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on behind the gap for
-    deep_m: float = Field(0.7, gt=0.0, le=10.0)  # so far: else it is a niche
+    GONE: ClassVar = frozenset({"parallel_deg", "offset_m", "deep_m"})
+
+    oblique_deg: float = Field(
+        60.0, gt=0.0, lt=90.0
+    )  # between the two walls beside a door, where it is in line with one
+    deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on deeper than any wall: else
+    # it is a niche
     plain_width_m: float = Field(1.3, gt=0.0, le=10.0)  # wider, a gap is a door only between walls in line, and
     # where the floor is seen to get wider behind it, just deeper than any wall
 
@@ -121,16 +123,16 @@ class GapConfig(Settings):
 class CornerConfig(Settings):
     """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
-    GONE: ClassVar = frozenset({"edge_beams"})
+    GONE: ClassVar = frozenset({"edge_beams", "face_gain"})
 
-    min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner
+    min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner; else parallel
     detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
     line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
     reach_beams: int = Field(14, ge=3, le=100)  # beside an end, looked at for a second face
     step_share: float = Field(0.1, ge=0.0, le=1.0)  # of the range, by which consecutive beams of one surface differ
-    wall_thickness_m: float = Field(0.75, gt=0.0, le=5.0)  # a shorter face may be the end of a wall
+    wall_thickness_m: float = Field(0.75, gt=0.0, le=5.0)  # a shorter face may be the end of a wall, and gaps whose
+    # middles are nearer are one
     short_faces: bool = True  # corners with a face too short for a segment, at a right angle; paper: none
-    face_gain: float = Field(12.0, ge=0.0, le=1000.0)  # chi-square that such a face must save
     passing_cost: float = Field(5.0, ge=0.0, le=100.0)  # chi-square of a beam that passes it
     misfit: float = Field(2.0, gt=0.0, le=100.0)  # mean chi-square of its beams at most
     max_sigma_m: float = Field(0.15, gt=0.0, le=1.0)
@@ -159,33 +161,17 @@ class PolygonConfig(Settings):
 class DynamicObjectsConfig(Settings):
     """Pedestrians and boxes on floor seen free before, and the landmarks that they leave; paper: a static world."""
 
-    GONE: ClassVar = frozenset({"closure_nis"})
-    DERIVED: ClassVar = ("closure_nis",)
+    GONE: ClassVar = frozenset(
+        {"range_m", "max_sigma_m", "wall_m", "prune_nearest_m", "closure_nis", "closure_sigma_m", "width_m", "beams"}
+        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m"}
+    )
 
     margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
     sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
-    max_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of that place; with a larger one nothing is decided
-    range_m: float = Field(15.0, gt=0.0, le=100.0)
-    beams: int = Field(4, ge=1, le=100)  # neighbours, at least, that make a dynamic object, or see through a landmark
-    wall_m: float = Field(1.0, gt=0.0, le=10.0)  # a longer segment is a wall, whatever the map says
-    body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
-    closure_sigma_m: float = Field(0.05, ge=0.0, le=100.0)  # a less certain pose needs two corners for a closure, where
-    # the one fits worse than `closure_nis`, or
-    width_m: Limits = (0.2, 0.5)  # another corner is as far away as a pedestrian is wide; a wall is thinner. A new
-    # corner less than half the larger width away from a dynamic beam is ignored
-    prune_scans: int = Field(4, ge=0, le=1000)  # with negative evidence, before a landmark is removed; 0: never
-    prune_range_m: float = Field(5.0, gt=0.0, le=100.0)  # of the landmark, and at least
-    prune_nearest_m: float = Field(0.4, gt=0.0, le=100.0)  # this: what is nearer is seen too steeply
-    beside_m: float = Field(0.12, gt=0.0, le=5.0)  # evidence: all beams this near to the landmark's place end
-    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # this far beyond it; or
-    facing_deg: float = Field(30.0, gt=0.0, le=180.0)  # a wall within half of `beside_m` of its place, which faces as
-    # the landmark does within this angle, goes on
-    inside_m: float = Field(0.35, ge=0.0, le=5.0)  # this far on both sides
-
-    @property
-    def closure_nis(self) -> float:
-        """A corner that fits its landmark worse is doubtful: 99 % of those that are one fit better."""
-        return chi2_of_point(0.99)
+    body_m: float = Field(0.45, ge=0.0, le=5.0)  # from the middle of dynamic beams: what ends nearer is of the same
+    # body, and a new corner nearer to one of them is ignored
+    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # evidence against a landmark: all beams go on this far behind it, or
+    # a wall this far on both sides of it
 
 
 class PanoramaConfig(Settings):
@@ -206,32 +192,29 @@ class PanoramaConfig(Settings):
 class TrackConfig(Settings):
     """From a corner seen once to a landmark."""
 
-    GONE: ClassVar = frozenset({"merge_nis"})
-    DERIVED: ClassVar = ("merge_nis",)
+    GONE: ClassVar = frozenset(
+        {"merge_nis", "merge_m", "end_sightings", "jamb_sightings", "gate_sigmas", "descriptor_deg"}
+    )
+    DERIVED: ClassVar = ("jamb_sightings",)
 
-    sightings: int = Field(3, ge=1, le=20)
-    jamb_sightings: int = Field(2, ge=1, le=20)
-    end_sightings: int = Field(6, ge=1, le=20)  # of a line end in another room: it may be a pedestrian
+    sightings: int = Field(3, ge=1, le=20)  # of a corner, and of a door
     few_matches: int = Field(4, ge=0, le=100)  # with fewer landmarks in view one sighting is enough (jambs do not count
     # where predictions are wide); one that is not seen as often as the others before the window ends is removed again
     window_steps: int = Field(10, ge=1, le=1000)  # a track not seen for longer is dropped; to see a room again that was
     # not seen for longer is a loop closure
-    gate_m: float = Field(0.1, ge=0.0, le=5.0)
-    gate_sigmas: float = Field(3.0, ge=0.0, le=20.0)
-    descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)  # the most by which a face may turn
-    merge_m: float = Field(0.15, ge=0.0, le=2.0)  # landmarks of one descriptor nearer than this may be one corner; they
-    # are one within `merge_nis`
+    gate_m: float = Field(0.1, ge=0.0, le=5.0)  # of a corner from its track, beside its noise
+    merge: bool = True  # landmarks of one descriptor that may be one corner are one; paper: none
 
     @property
-    def merge_nis(self) -> float:
-        """The gate of two landmarks that may be one: 95 % of those that are one lie inside."""
-        return chi2_of_point(0.95)
+    def jamb_sightings(self) -> int:
+        """One less for a jamb: the other jamb of its door vouches for it."""
+        return max(self.sightings - 1, 1)
 
 
 class AssociationConfig(Settings):
     """III-B, data association."""
 
-    GONE: ClassVar = frozenset({"most_seeds"})
+    GONE: ClassVar = frozenset({"most_seeds", "iterations", "most_pairs", "sharp_sigma_deg", "ignore_gate"})
 
     method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # one of METHODS, or one registered
     use_polygons: bool = True
@@ -242,21 +225,28 @@ class AssociationConfig(Settings):
     gate_probability: float = Field(0.99995, gt=0.5, lt=1.0)  # measured: at 0.999 recall is 0.98, not 0.99
     descriptor_deg: float = Field(40.0, gt=0.0, le=180.0)
     polygons_per_room: int = Field(32, ge=1, le=1000)
-    ignore_gate: float = Field(40.0, ge=0.0, le=1e6)  # NIS; neither old nor new below it; paper: none
+    ignore_near: bool = True  # what is nearer than `ignore_gate` to a landmark is neither old nor new; paper: new
     rival_gap: float = Field(6.0, ge=0.0, le=100.0)  # NIS by which a second choice must be worse, 95 %; paper: none
-    sharp_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of the predicted position; above, or
-    sharp_sigma_deg: float = Field(2.0, gt=0.0, le=180.0)  # above this of the heading, there are two passes, and the
-    # update is iterated
-    iterations: int = Field(8, ge=1, le=50)  # of the joint test of a polygon in the first one
-    most_pairs: int = Field(48, ge=4, le=256)
+    sharp_sigma_m: float = Field(0.1, gt=0.0, le=10.0)  # of the predicted position, and by the heading of what is a
+    # metre away; above, there are two passes, and the update is iterated
     search_budget: int = Field(100_000, ge=1, le=100_000_000)  # nodes that jcbb and ccda try at most in a scan; then
     # the best set of pairs so far counts
+
+    @property
+    def ignore_gate(self) -> float:
+        """NIS of a corner and a landmark; twice the gate, as a landmark is that near by chance."""
+        return 2.0 * chi2_of_point(self.gate_probability) if self.ignore_near else 0.0
+
+    @property
+    def face_turn_rad(self) -> float:
+        """The most by which a face may turn: any turn where descriptors are not used."""
+        return math.radians(self.descriptor_deg) if self.use_descriptor else math.pi
 
     def is_sharp(self, belief: Belief) -> bool:
         """True while the pose is so well known that one linearisation is enough."""
         x, y, heading = map(belief.pose_cov.item, (0, 4, 8))
         known: bool = max(x, y) < self.sharp_sigma_m**2
-        return known and heading < math.radians(self.sharp_sigma_deg) ** 2
+        return known and heading < self.sharp_sigma_m**2
 
 
 class FilterConfig(Settings):
@@ -296,43 +286,27 @@ class LocalisationConfig(Settings):
 class RoomConfig(Settings):
     """III, rooms and doors."""
 
-    GONE: ClassVar = frozenset({"hysteresis_m", "recognise_by_corners_m"})
+    GONE: ClassVar = frozenset(
+        {"hysteresis_m", "recognise_by_corners_m", "confirm_sightings", "wall_thickness_m", "trail_step_m"}
+        | {"recognise_m"}
+    )
 
-    confirm_sightings: int = Field(3, ge=1, le=MOST_SIGHTINGS)
-    wall_thickness_m: Limits = (0.05, 0.75)  # gaps whose middles are nearer than the larger one are the same
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)  # the robot is in a doorway up to here, behind it in the other room
-    recognise_m: float = Field(0.5, ge=0.0, le=10.0)  # two polygons recognised this far apart merge rooms
-    recognise_corners: int = Field(3, ge=1, le=100)
-    trail_step_m: float = Field(0.1, gt=0.0, le=10.0)  # between the places of the robot's path that are kept
-    trail_places: int = Field(512, ge=2, le=100_000)  # that are kept at most
-
-    @property
-    def recognise_by_corners_m(self) -> float:
-        """The same as `recognise_m` for single corners, a weaker sign: three times as far apart."""
-        return 3.0 * self.recognise_m
-
-    @property
-    def same_gap_m(self) -> float:
-        """Two gaps whose middles are nearer than this are one: the two faces of a door in the thickest wall."""
-        return self.wall_thickness_m[1]
-
-    @property
-    def behind_wall_m(self) -> float:
-        """A corner this far behind the middle of a door's wall is beyond the door."""
-        return self.wall_thickness_m[1] / 2.0
+    recognise_corners: int = Field(3, ge=1, le=100)  # of another room, seen from two places, that merge rooms
+    trail_places: int = Field(512, ge=2, le=100_000)  # of the robot's path, that are kept at most
 
 
 class GridConfig(Settings):
     """The semantic grid."""
 
+    GONE: ClassVar = frozenset({"doorway_m", "lever_m", "wall_m"})
+
     resolution_m: float = Field(0.1, ge=0.02, le=1.0)
-    key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a key scan where no other of the room lies as near
+    key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a view from farther is another one: a key scan where no other of
+    # the room lies as near, and the second sign of another room
     paint_range_m: float = Field(8.0, gt=0.0, le=100.0)
     occupied_ratio: float = Field(0.34, gt=0.0, le=1.0)  # a cell is a wall when this share of the votes says so
     anchors: int = Field(4, ge=2, le=16)  # landmarks that carry a key scan along when the map moves
-    doorway_m: float = Field(0.35, ge=0.0, le=2.0)  # a scan taken nearer to a door than this has no room
-    lever_m: float = Field(3.0, ge=0.0, le=100.0)  # a turn of a scan counts as the shift it causes at this distance
-    wall_m: float = Field(0.15, gt=0.0, le=2.0)  # depth of a wall of which one face is known
 
 
 class SlamConfig(Settings):
@@ -373,20 +347,17 @@ class SlamConfig(Settings):
                 tolerance_sigmas=0.0, check_walls=False, sites="corners", widest_gap_m=1.2
             ),  # III-A.2: exact
             panorama=PanoramaConfig(use="never"),
-            dynamic_objects=DynamicObjectsConfig(margin_m=0.0, prune_scans=0),  # a static world
-            tracks=TrackConfig(
-                sightings=1, jamb_sightings=1, end_sightings=1, merge_m=0.0, descriptor_deg=180.0
-            ),  # augmented at once
+            dynamic_objects=DynamicObjectsConfig(margin_m=0.0),  # a static world
+            tracks=TrackConfig(sightings=1, merge=False),  # augmented at once; a gap of door width is a door (III)
             association=AssociationConfig(
                 method="mecp_paper",  # III-B: eq. 3, two vertices by NIS, the rest implicitly
                 use_descriptor=False,
                 use_posts=False,  # IV: "we do not consider the end points of the door as a feature"
                 gate_probability=0.99,  # our choice: the paper names none
-                ignore_gate=0.0,  # what matches nothing is new
+                ignore_near=False,  # what matches nothing is new
                 rival_gap=0.0,  # the best match counts, however near the second is
                 paper_S=True,  # eq. 3 beside the pose, without their cross-covariance
             ),
             filter=FilterConfig(kind="ekf", update_iterations=1, second_order=False),  # standard EKF-SLAM
             localisation=LocalisationConfig(explained_share=0.0),  # the pose is always right
-            rooms=RoomConfig(confirm_sightings=1),  # III: a gap of door width is a door
         )

@@ -25,7 +25,7 @@ from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 from mecp_env.slam.state_shapes import SHAPES, check_pipeline
 
-FILE = FileKind("mecp_env map", 7, __version__)
+FILE = FileKind("mecp_env map", 8, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")

@@ -22,6 +22,7 @@ from mecp_env.slam.localisation.pose_guard import PoseGuard
 from mecp_env.slam.map_file import MapStart, SlamMap, begin
 from mecp_env.slam.messages import ScanFeatures
 from mecp_env.slam.panorama.recent_scans import RecentScans
+from mecp_env.slam.rooms.limits import RoomLimits
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 
 
@@ -54,8 +55,8 @@ class SlamParts:
         self.associator = associator or make_associator(config.association)
         self.divergence = Divergence(config.filter.diverged_sigma_m)
         self.map = LandmarkMap(config)
-        self.rooms = RoomGraphEstimator(config.rooms)
-        self.dynamic_objects = make_dynamic_objects(config.dynamic_objects)
+        self.rooms = RoomGraphEstimator(RoomLimits.of(config))
+        self.dynamic_objects = make_dynamic_objects(config.dynamic_objects, config.sensor)
         self.grid = GridPainter(config.grid)
         self.recent = RecentScans(config)
         self.guard = PoseGuard(

@@ -15,7 +15,7 @@ from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
 
-Attempt = tuple[Match, Match, Evidence]  # the match, the part that updated the filter, and what speaks for the pose
+Attempt = tuple[Match, Match, Evidence]  # of the associator, what updated the filter, and what speaks for the pose
 
 
 class SlamPipeline(SlamParts):
@@ -84,13 +84,13 @@ class SlamPipeline(SlamParts):
         even then, another one that assumes that odometry has failed, unless the scan was `tracked` from recent ones.
         """
         predicted, sharp = self.filter, self.config.association.is_sharp(view.belief)
-        matches = self._associate(around, view)
+        match = self._associate(around, view)
         said = self.guard.ask(around.scan.beams, view.belief, self.grid.canvas.grid)
-        expected = self.guard.evidence(said, matches[1], view, sharp)
+        expected = self.guard.evidence(said, match, view, sharp)
         if expected.fits or not self.guard.localised:
-            return matches[0], self._update(around.scan.corners, matches[1], iterate=not sharp), expected
+            return match, self._update(around.scan.corners, match, iterate=not sharp), expected
         self.filter = predicted.copy()
-        first = self._attempt(around, view, matches, sharp)
+        first = self._attempt(around, view, match, sharp)
         if first[2].settles(tracked):
             return first
         tried, self.filter = self.filter, predicted.copy()
@@ -104,29 +104,26 @@ class SlamPipeline(SlamParts):
         self.recent.forget(self.filter)
         return again
 
-    def _attempt(self, around: Surroundings, view: MapView, matches: tuple[Match, Match], sharp: bool) -> Attempt:
-        """Update the filter with the sure match; the match, what updated the filter, and what speaks for the pose."""
-        updated = self._update(around.scan.corners, matches[1], iterate=not sharp)
+    def _attempt(self, around: Surroundings, view: MapView, match: Match, sharp: bool) -> Attempt:
+        """Update the filter with a match; the match, what updated the filter, and what speaks for the pose."""
+        updated = self._update(around.scan.corners, match, iterate=not sharp)
         said = self.guard.ask(around.scan.beams, self.filter.belief(), self.grid.canvas.grid)
-        return matches[0], updated, self.guard.evidence(said, matches[1], view, sharp)
+        return match, updated, self.guard.evidence(said, match, view, sharp)
 
     def _is_clear(self, around: Surroundings, view: MapView) -> bool:
         """True when a search by this scan alone finds the pose of the filter."""
         beams, grid = around.scan.beams, self.grid.canvas.grid
         return self.guard.is_clear(around.corners, around.polygons, view, beams, grid, self.filter.belief())
 
-    def _associate(self, around: Surroundings, view: MapView) -> tuple[Match, Match]:
-        """The match of the associator, and the part of it that is sure; nothing while the pose is searched for."""
-        corners = around.scan.corners
-        associated = sure = ignored(len(corners), Reason.NOT_LOCALISED)
+    def _associate(self, around: Surroundings, view: MapView) -> Match:
+        """The match of the associator; nothing while the pose is searched for."""
         if not self.guard.localised:
-            return associated, sure
+            return ignored(len(around.scan.corners), Reason.NOT_LOCALISED)
         with self.divergence:
             of_all = self.associator.associate(around.corners, around.polygons, view, self.filter)
             check_match(of_all, len(around.corners), len(view.features))
-            associated, oldest = around.narrow(of_all), self.step_count - self.config.tracks.window_steps
-            sure = self.dynamic_objects.reject_closures(associated, corners, view.features, self.filter, oldest)
-        return associated, sure
+            return around.narrow(of_all)
+        return ignored(len(around.scan.corners), Reason.NOT_LOCALISED)
 
     def _update(self, corners: Corners, match: Match, iterate: bool) -> Match:
         """Update the filter with all recognised corners at once; the match, or nothing where the filter diverges."""
@@ -156,7 +153,7 @@ class SlamPipeline(SlamParts):
     def _map_scan(self, around: Surroundings, seen: Sighting, sharp: bool) -> tuple[Match, Belief]:
         """Landmarks, rooms, polygons and grid after this scan; its match with the ids of new features, the belief."""
         beams, segments = around.scan.beams, around.scan.segments
-        dynamic = self.dynamic_objects.find(beams, segments, seen.belief, self.grid.canvas.grid)
+        dynamic = self.dynamic_objects.find(beams, seen.belief, self.grid.canvas.grid)
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
         seen = self._extend_map(seen.with_match(static), around, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)

@@ -55,8 +55,8 @@ class Filter(Protocol):
     def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
 
-    def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
-        """Least joint cost of the pairing over pose and landmarks (2n degrees of freedom); 1 iteration: linear."""
+    def joint_nis(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> float:
+        """Least joint cost of the pairing over pose and landmarks (2n degrees of freedom); iterated as `update`."""
 
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
         """Twice the log of p(pairs | the pose has a covariance (3,3) of x, y, heading more) / p(pairs | as it is)."""

@@ -50,7 +50,7 @@ SHAPES: Shapes = {
         "has_room": "n",
     },
     "PaintedPolygon": {"ring": f"k 2 in {NEAR}"},
-    "DoorLayer": {"quads": "n 4 2", "middles": "n 2", "lines": "c 2 2"},
+    "DoorLayer": {"quads": "n 4 2", "lines": "c 2 2"},
     "GridPainter": {"p_landmark": "n 2"},
     "SlamOutput": {"T_robot_laser": f"3 in {NEAR}"},
     "MergedScan": dict.fromkeys(("ranges", "bearings", "hit", "count"), "b")

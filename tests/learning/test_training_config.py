@@ -11,7 +11,7 @@ from mecp_env.cli.main import main
 from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.slam.config import SegmentConfig, SlamConfig
+from mecp_env.slam.config import DynamicObjectsConfig, SegmentConfig, SlamConfig
 from mecp_env.world.generator.spec import GeneratorSpec
 
 
@@ -53,11 +53,10 @@ def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
 
 def test_older_names_of_dynamic_objects_in_a_run_folder_are_read(tmp_path):
     file = tmp_path / "config.json"
-    older = {"transients": {"refutations": 6, "longest_m": 1.5, "most_sigma_m": 0.2}, "tracks": {"fuse_m": 0.1}}
+    older = {"transients": {"refutations": 6, "longest_m": 1.5, "most_sigma_m": 0.2, "margin_m": 0.3}}
     file.write_text(json.dumps({"environment": {"slam": older}}))
     slam = SlamConfig(**read_config(file)["environment"]["slam"])
-    assert (slam.dynamic_objects.prune_scans, slam.dynamic_objects.wall_m) == (6, 1.5)
-    assert (slam.dynamic_objects.max_sigma_m, slam.tracks.merge_m) == (0.2, 0.1)
+    assert slam == SlamConfig(dynamic_objects=DynamicObjectsConfig(margin_m=0.3))
 
 
 def test_numbers_that_now_follow_from_others_are_left_out_of_an_older_run_folder(tmp_path):

@@ -258,7 +258,7 @@ def test_numbers_that_are_no_fields_any_more_are_left_out_of_an_older_map(saved:
     file, older = tmp_path / "older.zip", copy.deepcopy(SlamMap.load(saved))
     parts = older.state["@object"][1]
     parts["config"]["@settings"][1]["filter"]["closure_gap_steps"] = 10
-    parts["rooms"]["@object"][1]["config"]["@settings"][1]["hysteresis_m"] = 0.3
+    parts["grid"]["@object"][1]["config"]["@settings"][1]["lever_m"] = 3.0
     older.save(file)
     assert same(encode(SlamPipeline.from_map(file)), encode(SlamPipeline.from_map(saved)))
 

@@ -42,8 +42,8 @@ class CcdaAssociator(Associator):
         clique = self._selected(graph)
         if len(clique):
             rows, ids = graph.rows[clique], graph.ids[clique]
-            iterations = 1 if self.config.is_sharp(view.belief) else self.config.iterations
-            fits = jointly_compatible(corners, rows, ids, belief, self.config, iterations)
+            iterate = not self.config.is_sharp(view.belief)
+            fits = jointly_compatible(corners, rows, ids, belief, self.config, iterate)
             builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], graph.costs[clique][fits])
         return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
 

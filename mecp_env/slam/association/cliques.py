@@ -97,16 +97,16 @@ def candidate_pairs(costs: Array, gate: float, budget: int) -> tuple[Ints, Ints]
 
 
 def jointly_compatible(
-    corners: Corners, rows: Ints, ids: Ints, belief: Filter, config: AssociationConfig, iterations: int
+    corners: Corners, rows: Ints, ids: Ints, belief: Filter, config: AssociationConfig, iterate: bool
 ) -> Ints:
     """Which of the pairs (k,) fit together at one pose: all, or those left by the ones that disturb most."""
     kept = np.arange(len(rows))
     while len(kept):
-        joint = belief.joint_nis(*corners.measurements(rows[kept]), ids[kept], iterations)
+        joint = belief.joint_nis(*corners.measurements(rows[kept]), ids[kept], iterate)
         if joint <= chi2_gate(2 * len(kept), config.gate_probability):
             break
         others = [np.delete(kept, k) for k in range(len(kept))]
-        without = [belief.joint_nis(*corners.measurements(rows[o]), ids[o], iterations) for o in others]
+        without = [belief.joint_nis(*corners.measurements(rows[o]), ids[o], iterate) for o in others]
         kept = others[int(np.argmin(without))]
     return kept
 

@@ -45,7 +45,7 @@ class FirstPass:
         if not len(rows):
             return
         ids = builder.rows["id"][rows]
-        nis = self.belief.joint_nis(*self.corners.measurements(rows), ids, self.config.iterations)
+        nis = self.belief.joint_nis(*self.corners.measurements(rows), ids, iterate=True)
         self._enter(builder, self.config.rival_gap * len(rows) - nis, self._alike(rows, ids))
 
     def _alike(self, rows: Ints, ids: Ints) -> int | None:
@@ -74,7 +74,7 @@ class FirstPass:
                 graph.leave_out(builder.rows["id"])
             clique = graph.largest(max(1, self.most_pairs - FEWER))
             rows, ids = graph.rows[clique], graph.ids[clique]
-            fits = jointly_compatible(corners, rows, ids, belief, config, config.iterations)
+            fits = jointly_compatible(corners, rows, ids, belief, config, iterate=True)
             if not len(fits):
                 return
             self.propose(rows[fits], ids[fits])

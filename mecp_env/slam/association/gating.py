@@ -126,14 +126,13 @@ def possible_pairs(
     fixed_corners: Ints,
     fixed_ids: Ints,
     gate: float,
-    most: int,
     pairs: Ints,
     cost: Array,
 ) -> int:
-    """Write corner and landmark id (2,P) and cost (P,) of each pair inside the gate, or the `most` that cost least.
+    """Write corner and landmark id (2,P) and cost (P,) of each pair inside the gate.
 
     `fixed_corners` (v,) are the landmarks `fixed_ids` (v,) and no others, whatever these pairs cost: they are FIXED.
-    Of pairs that cost the same, the last go first. `costs` (n,N) is overwritten. Returns P.
+    `costs` (n,N) is overwritten. Returns P.
     """
     for v in range(fixed_corners.shape[0]):
         for j in range(landmarks.shape[0]):
@@ -144,12 +143,4 @@ def possible_pairs(
             if costs[i, j] <= gate:
                 pairs[0, count], pairs[1, count], cost[count] = i, landmarks[j], costs[i, j]
                 count += 1
-    while count > most:
-        dearest = 0
-        for p in range(1, count):
-            if cost[p] >= cost[dearest]:
-                dearest = p
-        for p in range(dearest, count - 1):
-            pairs[0, p], pairs[1, p], cost[p] = pairs[0, p + 1], pairs[1, p + 1], cost[p + 1]
-        count -= 1
     return count

@@ -59,7 +59,7 @@ class MecpAssociator(Associator):
 
         turn = math.sqrt(self.config.rival_gap * view.belief.pose_cov.item(8))
         table = pairing_table(corners, view, belief, self.config, self.gate, turn)
-        test = PolygonTest(OPEN, OPEN, self.config.iterations)
+        test = PolygonTest(OPEN, OPEN, iterate=True)
         found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
         poses = self._first_pass()(self.config, corners, view, belief, pair)
         if found is not None:
@@ -78,7 +78,7 @@ class MecpAssociator(Associator):
     def _paired(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> MatchBuilder:
         """The decisions at the pose of a filter, with a polygon that is recognised there in one linearisation."""
         builder, table = MatchBuilder(len(corners)), pairing_table(corners, view, belief, self.config, self.gate)
-        test = PolygonTest(2.0 * self.gate, self.gate, 1)
+        test = PolygonTest(2.0 * self.gate, self.gate, iterate=False)
         found = PolygonMatcher(self.config, corners, view, belief, table.nis, test).first_match(polygons)
         self._pair(builder, corners, table.costs, found, view.belief, belief)
         return builder.classify_unmatched(table.nis, self.config.ignore_gate)
@@ -93,16 +93,16 @@ class MecpAssociator(Associator):
         belief: Filter,
     ) -> None:
         """Accept pairings by joint compatibility, those of the polygon that was found first."""
-        config, fixed = self.config, (NONE, NONE)
+        fixed = NONE, NONE
         if found is not None:
             fixed = found.corners, found.ids
             builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
         pairs, cost = np.empty((2, costs.size), np.int64), np.empty(costs.size)
-        count = possible_pairs(costs, predicted.ids, *fixed, self.gate, config.most_pairs, pairs, cost)
+        count = possible_pairs(costs, predicted.ids, *fixed, self.gate, pairs, cost)
         if count:
             corner, ids, cost = pairs[0, :count], pairs[1, :count], cost[:count]
             innovation = belief.innovation(*corners.measurements(corner), ids)
-            accept(innovation, corner, ids, cost, self.gate, config.rival_gap, builder.rows)
+            accept(innovation, corner, ids, cost, self.gate, self.config.rival_gap, builder.rows)
 
 
 @compiled

@@ -31,7 +31,7 @@ class PolygonTest(NamedTuple):
 
     vertex_gate: float  # NIS of a vertex alone; generous: the joint test decides
     centre_gate: float  # NIS of the centre
-    iterations: int  # of the joint test
+    iterate: bool  # the joint test
 
 
 def map_polygons_of(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
@@ -107,7 +107,7 @@ class PolygonMatcher:
         for hypothesis, c in zip(ids, which.tolist(), strict=True):
             if self.belief.mean_of_gaussians_nis(z, R, hypothesis, paper_S=self.config.paper_S) > self.test.centre_gate:
                 continue
-            joint = self.belief.joint_nis(z, R, hypothesis, self.test.iterations)
+            joint = self.belief.joint_nis(z, R, hypothesis, self.test.iterate)
             if joint <= joint_gate:
                 accepted.append((joint, int(group.index[c]), hypothesis))
         return _agreed(accepted, polygon.corners, self.config.rival_gap)

@@ -23,9 +23,9 @@ from mecp_env.slam.filters.update import batch_update, merge_pair
 from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
-PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
 NO_LANDMARKS = np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
+PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
 
 
@@ -137,10 +137,10 @@ class LandmarkFilter:
             self._refuse_unknown(ids)
         return nis
 
-    def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
+    def joint_nis(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> float:
         """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
         z, R, ids = observations(z, R, ids)
-        nis = joint_cost(*self._part(ids), ids, z, R, self.invariant, iterations)
+        nis = joint_cost(*self._part(ids), ids, z, R, self.invariant, self.update_iterations if iterate else 1)
         return self._finite(nis, "joint_nis", ids)
 
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:

@@ -84,10 +84,10 @@ class FirstEstimateEkf(Ekf):
             nis: Array = np.where(near, (vv * u * u - 2.0 * uv * u * v + uu * v * v) / det, math.inf)
         return nis
 
-    def joint_nis(self, z: Array, R: Array, ids: Ints, iterations: int = 1) -> float:
+    def joint_nis(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> float:
         """Least joint cost of the pairs; where it is iterated, with Jacobians at each step's estimate, as `ekf`."""
-        if iterations > 1:
-            return super().joint_nis(z, R, ids, iterations)
+        if iterate:
+            return super().joint_nis(z, R, ids, iterate)
         z, R, ids = observations(z, R, ids)
         cost, _, _ = solved(self.state, self.first, self._slots(ids), z, R, 1)
         return self._finite(cost, "joint_nis", ids)

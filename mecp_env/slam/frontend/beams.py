@@ -23,6 +23,7 @@ class Noise(NamedTuple):
     outlier: float  # `outlier_sigmas`
     least_cosine: float
     edge: int  # `edge_beams`
+    face_gain: float
     grazing: float  # rad, incidence beyond which no beam returns; pi: each does
 
 
@@ -31,7 +32,7 @@ def laser_noise(sensor: Rows) -> Noise:
     """The noise of `SensorModel.record`; a perfect laser gets a small range sigma."""
     model = sensor[0]
     range_m = max(model.range_sigma_m, model.least_range_sigma_m)
-    gates, edge = (model.noise_sigmas, model.outlier_sigmas), (model.least_cosine, model.edge_beams)
+    gates, edge = (model.noise_sigmas, model.outlier_sigmas), (model.least_cosine, model.edge_beams, model.face_gain)
     grazing = model.grazing_rad if model.grazing_deg < 90.0 else np.pi
     return Noise(range_m, model.range_sigma_share, model.bearing_sigma_rad, *gates, *edge, grazing)
 

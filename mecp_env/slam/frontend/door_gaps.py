@@ -13,7 +13,6 @@ from mecp_env.slam.frontend.beams import Noise, Record, Records
 from mecp_env.slam.frontend.line_intersections import Lines, RolledScan
 
 Point = tuple[float, float]
-SPARE_RAD = 1e-3  # a beam farther beside a gap does not pass it, whatever the rounding
 
 
 @compiled
@@ -29,7 +28,7 @@ def find_doorways(
         if left < 0 or rights[left] != right:
             continue
         a, b = gap_end(found, p_robot, right, left, limits), gap_end(found, p_robot, left, right, limits)
-        if not passes_through(found, scan, lines, (right, left), (a, b), gaps):
+        if not passes_through(found, scan, lines, (right, left), (a, b), limits, gaps):
             continue
         jambs[size, 0], jambs[size, 1] = right, left
         (ax, ay), (bx, by) = (p_robot[right, 0], p_robot[right, 1]), (p_robot[left, 0], p_robot[left, 1])
@@ -59,7 +58,7 @@ def nearest_partners(found: Records, p_robot: Array, lines: Lines, limits: Recor
             width = math.hypot(p_robot[left, 0] - p_robot[right, 0], p_robot[left, 1] - p_robot[right, 1])
             if not narrowest <= width <= max(to_left[right], to_right[left]):
                 continue
-            if not face_each_other(found, p_robot, lines, right, left, gaps):
+            if not face_each_other(found, p_robot, lines, right, left, limits, gaps):
                 continue
             if width > width_limits(found, lines, right, left, limits, gaps)[1]:
                 continue
@@ -71,7 +70,9 @@ def nearest_partners(found: Records, p_robot: Array, lines: Lines, limits: Recor
 
 
 @compiled
-def face_each_other(found: Records, p_robot: Array, lines: Lines, right: int, left: int, gaps: Record) -> bool:
+def face_each_other(
+    found: Records, p_robot: Array, lines: Lines, right: int, left: int, limits: Record, gaps: Record
+) -> bool:
     """True when a wall ends at `right` or begins at `left`, and what is at the other is the end of a wall in its line.
 
     That wall may be at an angle to the first; and it may be too short to be one: then a concave corner is seen in its
@@ -81,18 +82,18 @@ def face_each_other(found: Records, p_robot: Array, lines: Lines, right: int, le
     if ending >= 0 and beginning >= 0:
         turn = abs(wrap_angle(lines.line[ending, 0] - lines.line[beginning, 0]))
         off_ending, off_beginning = off_line(lines, ending, p_robot[left]), off_line(lines, beginning, p_robot[right])
-        if turn <= gaps.parallel_rad:
-            return bool(max(off_ending, off_beginning) <= gaps.offset_m)
-        return bool(turn <= gaps.oblique_rad and min(off_ending, off_beginning) <= gaps.offset_m)
+        if turn <= limits.min_angle_rad:
+            return bool(max(off_ending, off_beginning) <= limits.line_m)
+        return bool(turn <= gaps.oblique_rad and min(off_ending, off_beginning) <= limits.line_m)
     segment, corner, opposite = (ending, left, right) if beginning < 0 else (beginning, right, left)
-    if found[corner].convex or off_line(lines, segment, p_robot[corner]) > gaps.offset_m:
+    if found[corner].convex or off_line(lines, segment, p_robot[corner]) > limits.line_m:
         return False
     dx, dy = p_robot[opposite, 0] - p_robot[corner, 0], p_robot[opposite, 1] - p_robot[corner, 1]
     across, stub, normals = math.atan2(dy, dx), False, found[corner].normals
     for face in range(2):
         along = abs(wrap_angle(normals[face] - lines.line[segment, 0] - math.pi))
         aside = abs(wrap_angle(normals[1 - face] - across))
-        stub = stub or (along <= gaps.parallel_rad and aside <= gaps.parallel_rad)
+        stub = stub or (along <= limits.min_angle_rad and aside <= limits.min_angle_rad)
     return stub
 
 
@@ -111,7 +112,7 @@ def width_limits(
     ending, beginning = found[right].border[0], found[left].border[1]
     if ending < 0 or beginning < 0:
         return 0.0, gaps.plain_width_m, 1
-    if abs(wrap_angle(lines.line[ending, 0] - lines.line[beginning, 0])) > gaps.parallel_rad:
+    if abs(wrap_angle(lines.line[ending, 0] - lines.line[beginning, 0])) > limits.min_angle_rad:
         return 0.0, gaps.plain_width_m, 2
     shorter = min(lines.length[ending], lines.length[beginning])
     return gaps.plain_width_m, math.inf if shorter >= 2.0 * limits.detail_m else gaps.plain_width_m, 1
@@ -127,9 +128,15 @@ def gap_end(found: Records, p_robot: Array, corner: int, opposite: int, limits: 
 
 @compiled
 def passes_through(
-    found: Records, scan: RolledScan, lines: Lines, jambs: tuple[int, int], ends: tuple[Point, Point], gaps: Record
+    found: Records,
+    scan: RolledScan,
+    lines: Lines,
+    jambs: tuple[int, int],
+    ends: tuple[Point, Point],
+    limits: Record,
+    gaps: Record,
 ) -> bool:
-    """True when enough of the beams between the two walls beside the gap pass far beyond the line through its ends."""
+    """True when enough of the beams between the two walls beside the gap go on behind it, deeper than any wall."""
     (right, left), (a, b), size = jambs, ends, scan.polar.shape[1]
     ending, beginning = found[right].border[0], found[left].border[1]
     last = lines.last[ending] if ending >= 0 else lines.first[beginning] - size + 1
@@ -144,7 +151,7 @@ def passes_through(
             continue
         p = (scan.polar[0, q] * math.cos(scan.polar[1, q]), scan.polar[0, q] * math.sin(scan.polar[1, q]))
         depth = depth_behind(a, b, p) if scan.hit[q] else math.inf
-        between, deep = between + 1, deep + (depth > gaps.deep_m)
+        between, deep = between + 1, deep + (depth > limits.wall_thickness_m)
     return between > 0 and deep >= gaps.deep_share * between
 
 
@@ -162,7 +169,7 @@ def widening(scan: RolledScan, a: Point, b: Point, limits: Record, gaps: Record,
     start = math.atan2(a[1], a[0])
     turn = wrap_angle(math.atan2(b[1], b[0]) - start)
     for q in range(scan.polar.shape[1]):
-        if not -SPARE_RAD < wrap_angle(scan.polar[1, q] - start) < turn + SPARE_RAD:
+        if not 0.0 < wrap_angle(scan.polar[1, q] - start) < turn:
             continue  # its direction is not needed
         x, y = math.cos(scan.polar[1, q]), math.sin(scan.polar[1, q])
         sideways, onward = x * ux + y * uy, x * uy - y * ux

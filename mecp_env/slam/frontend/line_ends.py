@@ -49,7 +49,8 @@ def add_end(
     last = (lines.first, lines.last)[(side + 1) // 2][segment]
     range_m = max(noise.range_m, noise.share * scan.polar[0, last])  # the beams beside an end are about as far
     noise = Noise(
-        *(range_m, noise.share, noise.bearing, noise.gate, noise.outlier, noise.least_cosine, noise.edge, noise.grazing)
+        *(range_m, noise.share, noise.bearing, noise.gate, noise.outlier, noise.least_cosine, noise.edge),
+        *(noise.face_gain, noise.grazing),
     )
     jump = limits.detail_m + noise.outlier * noise.range_m
     end = end_of(scan, lines, segment, side, jump, limits, noise)
@@ -64,7 +65,7 @@ def add_end(
             if ahead < -noise.outlier * noise.range_m:
                 return False
     ray = counted_end(scan, end, jump, limits, noise) if plain else weighted_end(scan, end, limits, noise)
-    seen = limits.short_faces and ray.evidence > limits.face_gain
+    seen = limits.short_faces and ray.evidence > noise.face_gain
     if not (seen or plain or (end.free and recedes)):
         return False
     if math.cos(ray.bearing - end.alpha) < noise.least_cosine:

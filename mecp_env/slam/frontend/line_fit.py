@@ -24,7 +24,9 @@ def rough_line(sums: Array, first: int, last: int) -> tuple[float, float]:
 
 
 @compiled
-def without_end_face(points: Array, sums: Array, first: int, last: int, limits: Record) -> tuple[int, int]:
+def without_end_face(
+    points: Array, sums: Array, first: int, last: int, limits: Record, noise: Noise
+) -> tuple[int, int]:
     """First and last position of the wall itself, where beams of its end face, at a right angle, are taken for it.
 
     Seen along the wall, the face at its near end is within the noise; its few beams turn the line.
@@ -34,7 +36,7 @@ def without_end_face(points: Array, sums: Array, first: int, last: int, limits: 
     ends = points[1, last] * math.cos(alpha) - points[0, last] * math.sin(alpha)
     if begins >= 0.0 and ends >= 0.0:
         return first, last  # the robot is in front of the wall: its end faces are turned away
-    best, best_cost = (first, last), line_cost(sums, first, last) - limits.face_gain
+    best, best_cost = (first, last), line_cost(sums, first, last) - noise.face_gain
     most = min(limits.shift_beams, last - first + 1 - limits.min_beams)
     kept = (first + most, last) if begins < 0.0 else (first, last - most)
     if line_cost(sums, kept[0], kept[1]) >= best_cost:

@@ -60,7 +60,7 @@ def find_segments(
     size, found, terms = spans.shape[0], 0, np.empty((3, polar.shape[1]))
     ends, line, cov = np.empty((size, 2, 2)), np.empty((size, 2)), np.empty((size, 2, 2))
     for k in range(size):
-        span = without_end_face(points, sums, spans[k, 1], spans[k, 2], limits)
+        span = without_end_face(points, sums, spans[k, 1], spans[k, 2], limits, noise)
         trim = min(noise.edge, (span[1] - span[0] + 1 - FEWEST) // 2)
         fit = fit_line(polar[0], points, sums, (span[0] + trim, span[1] - trim), noise, terms)
         cost, rows = line_cost(sums, span[0], span[1]), (ends[found], line[found], cov[found])

@@ -43,7 +43,7 @@ def _free_and_walls(
     """See `free_and_walls`; the beams that fit a line are put onto it."""
     ranges, bearings, hit, blind = beams
     points, line, first, last, roll = lines
-    count, tolerance = ranges.shape[0], 2.0 * config[0].wall_m
+    count, tolerance = ranges.shape[0], 2.0 * config[0].resolution_m
     fitted, owner = ranges.copy(), np.full(count, -1, np.int64)  # the line of each beam, -1: none
     for i in range(line.shape[0]):
         for position in range(first[i], last[i] + 1):

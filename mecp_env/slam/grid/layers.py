@@ -76,7 +76,7 @@ class ScanLayer:
         poses, present = key_scans.anchored_poses(self.anchor, self.p_robot, self.T_map_robot, p_landmark)
         step = poses - self.T_map_robot
         turn = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
-        moved = np.hypot(step[:, 0], step[:, 1]) + self.config.lever_m * turn > 0.5 * canvas.resolution_m
+        moved = np.hypot(step[:, 0], step[:, 1]) + self.config.paint_range_m * turn > 0.5 * canvas.resolution_m
         lost = (self.anchor[:, :1] != NO_ID).any(axis=1) & (present == 0)
         for row in np.flatnonzero(moved | lost).tolist():
             self._vote(canvas, row, -1)
@@ -214,13 +214,7 @@ class DoorLayer:
     config: GridConfig
     key: tuple[DoorKey, ...] = ()  # the doors painted: id and jambs of both faces
     quads: Array = field(default_factory=lambda: np.empty((0, 4, 2)))  # (d,4,2) m, map frame, as painted
-    middles: Array = field(default_factory=lambda: np.empty((0, 2)))  # (d,2) m, of the quads
     lines: Array = field(default_factory=lambda: np.empty((0, 2, 2)))  # (c,2,2) m, across the known quads
-
-    def near(self, T_map_robot: Array) -> bool:
-        """True when the robot stands within `doorway_m` of the middle of a door."""
-        (x, y, _), group = T_map_robot.tolist(), np.zeros(len(self.middles), np.int64)
-        return bool(key_scans.nearest_of_group(self.middles, group, 0, x, y) < self.config.doorway_m)
 
     def update(self, canvas: Canvas, graph: RoomGraph, p_landmark: Array, moved: bool, voted: bool) -> Array:
         """Paint new doors, move those that moved by more than half a cell; the lines (d,2,2) of all that changed.
@@ -238,7 +232,7 @@ class DoorLayer:
             return np.empty((0, 2, 2))
         canvas.stamp(np.delete(self.quads, rows[same], axis=0), cells.DOOR, -1)
         canvas.stamp(quads[~same], cells.DOOR, 1)
-        self.key, self.quads, self.middles, self.lines = key, quads, quads.mean(axis=1), self._cut_lines(quads)
+        self.key, self.quads, self.lines = key, quads, self._cut_lines(quads)
         return self._cut_lines(quads[~still])
 
     def _shut(self, canvas: Canvas, quads: Array, again: bool) -> Bools:
@@ -266,13 +260,13 @@ class DoorLayer:
     def _quads_of(self, p_landmark: Array, doors: tuple[DoorKey, ...]) -> Array:
         """(d,4,2) m: of each door the right and left jamb, then the left and right one of the other face.
 
-        With one face known the door is as deep as a thin wall. It is deeper by half a cell on both sides, to join
-        the floor.
+        With one face known the door is a cell deep, as walls are painted. It is deeper by half a cell on both sides, to
+        join the floor.
         """
         faces = p_landmark[
             np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
         ]
-        depth = np.array([0.0 if other else self.config.wall_m for _, _, other in doors], np.float64)
+        depth = np.array([0.0 if other else self.config.resolution_m for _, _, other in doors], np.float64)
         along, rim = faces[:, 1] - faces[:, 0], 0.5 * self.config.resolution_m
         share = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]
         onward = np.stack((share[:, 1], -share[:, 0]), axis=1)[:, None]

@@ -144,8 +144,7 @@ class GridPainter:
     def _add_key_scan(self, belief: Belief, beams: MergedScan, segments: Segments, graph: RoomGraph) -> None:
         """Paint this scan when no key scan of the room lies near."""
         pose = belief.T_map_robot
-        says_nothing = graph.in_doorway or self.doors.near(pose)
-        room = UNKNOWN_ROOM if says_nothing else graph.resolve(graph.current)
+        room = UNKNOWN_ROOM if graph.in_doorway else graph.resolve(graph.current)
         if self.again or self.scans.wants(pose, room):
             self.again = False
             seen = key_scans.free_and_walls(beams, segments, self.config)

@@ -1,8 +1,9 @@
 """Dynamic objects: what is where the map has seen free floor has moved there, and no corner of it is a landmark.
 
-Differs from the paper: its world is static. A run of beams that end on floor seen free before, well away from all that
-is not free, comes from something that moved in since; a line fitted to such beams is not a wall, and none is painted
-where they end. In a static world every hit is on a wall, beside which the map has no free floor: nothing is dynamic.
+Differs from the paper: its world is static. Beams that end on floor seen free before, well away from all that is not
+free, come from something that moved in since, if they are more than noise mixes at an edge; a line fitted to such beams
+is not a wall, and none is painted where they end. In a static world every hit is on a wall, beside which the map has no
+free floor: nothing is dynamic.
 """
 
 from __future__ import annotations
@@ -14,25 +15,22 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import DynamicObjectsConfig
-from mecp_env.slam.landmark_map.tracks import room_unseen_since
+from mecp_env.slam.config import DynamicObjectsConfig, SensorModel
 from mecp_env.slam.messages import (
     NO_ID,
     Belief,
     Cell,
     Corners,
     Decision,
-    FeatureTable,
     Match,
     MergedScan,
     Reason,
     Segments,
     SemanticGrid,
 )
-from mecp_env.slam.protocols import Filter
 
 FREE, DOOR = int(Cell.FREE), int(Cell.DOOR)
-NEW, RECOGNISED = int(Decision.NEW), int(Decision.LANDMARK)
+NEW = int(Decision.NEW)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,33 +38,15 @@ class DynamicObjects:
     """The stage for a world where things move; beams (B,) are marked, None stands for none."""
 
     config: DynamicObjectsConfig
+    mixed: int  # neighbours that noise mixes of two surfaces: so many are no object
 
-    def reject_closures(
-        self, match: Match, corners: Corners, features: FeatureTable, landmark_filter: Filter, oldest: int
-    ) -> Match:
-        """The match without loop closures by one corner that may be a side of a pedestrian, unless the pose is sure."""
-        columns = match.ids, match.decision, match.nis
-        doubtful = find_lone_closures(*columns, corners.z, features.rows, self.config.record, oldest)
-        unsure = [c for c in doubtful.tolist() if not self._is_sure(corners, match.ids, c, landmark_filter)]
-        return match.assign(unsure, NO_ID, int(Decision.IGNORED), int(Reason.AMBIGUOUS)) if unsure else match
-
-    def _is_sure(self, corners: Corners, ids: Ints, corner: int, landmark_filter: Filter) -> bool:
-        z, R = corners.measurements(np.array([corner]))
-        _, S = landmark_filter.innovation(z, R, ids[corner : corner + 1])
-        sure: bool = max(S[0, 0], z[0, 0] ** 2 * S[1, 1]) <= self.config.closure_sigma_m**2
-        return sure
-
-    def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
-        """(B,) the beams that end on something on floor that the map has seen free.
-
-        Beams on segments longer than `wall_m` are not considered: they are on walls, whatever the map says.
-        """
+    def find(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Bools | None:
+        """(B,) the beams that end on something on floor that the map has seen free."""
         if not grid.label.size:
             return None
         pose_cov, limits = np.ascontiguousarray(belief.pose_cov), self.config.record
         scan, floor = (beams.ranges, beams.bearings, beams.hit), (grid.label, grid.origin, grid.resolution_m)
-        lines = segments.points, segments.first, segments.last, segments.roll
-        marked = mark_dynamic(scan, lines, belief.T_map_robot, pose_cov, floor, limits)
+        marked = mark_dynamic(*scan, belief.T_map_robot, pose_cov, floor, self.mixed, limits)
         return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked, limits) if len(marked) else None
 
     def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
@@ -86,18 +66,13 @@ class DynamicObjects:
 class StaticWorld(DynamicObjects):
     """The paper's world, where nothing moves: the stage does nothing."""
 
-    def reject_closures(
-        self, match: Match, corners: Corners, features: FeatureTable, landmark_filter: Filter, oldest: int
-    ) -> Match:
-        return match
-
-    def find(self, beams: MergedScan, segments: Segments, belief: Belief, grid: SemanticGrid) -> Bools | None:
+    def find(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Bools | None:
         return None
 
 
-def make_dynamic_objects(config: DynamicObjectsConfig) -> DynamicObjects:
-    """The stage that `config` describes."""
-    return DynamicObjects(config) if config.margin_m else StaticWorld(config)
+def make_dynamic_objects(config: DynamicObjectsConfig, sensor: SensorModel) -> DynamicObjects:
+    """The stage that `config` describes, with a laser."""
+    return (DynamicObjects if config.margin_m else StaticWorld)(config, sensor.edge_beams)
 
 
 def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
@@ -112,60 +87,34 @@ def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
 
 
 @compiled
-def find_lone_closures(ids: Ints, decision: Ints, nis: Array, z: Array, rows: Rows, config: Rows, oldest: int) -> Ints:
-    """(c,) corners that alone recognise a room unseen since `oldest`, and may be one of the two sides of a pedestrian.
-
-    That is a corner that fits its landmark badly, or that has another one, no landmark, as far away as a pedestrian is
-    wide. `ids`, `decision`, `nis` (n,) are those of the match, z (n,2) of the corners.
-    """
-    limits, doubtful, count = config[0], np.empty(z.shape[0], np.int64), 0
-    for c in range(z.shape[0]):
-        alone, beside = decision[c] == RECOGNISED, nis[c] > limits.closure_nis
-        for k in range(z.shape[0] if alone else 0):
-            if decision[k] == RECOGNISED:
-                alone &= k == c or rows[ids[k]].room != rows[ids[c]].room
-                continue
-            square = z[c, 0] ** 2 + z[k, 0] ** 2 - 2.0 * z[c, 0] * z[k, 0] * math.cos(z[c, 1] - z[k, 1])
-            beside |= limits.width_m[0] ** 2 < square < limits.width_m[1] ** 2
-        if alone and beside and room_unseen_since(ids[c : c + 1], rows, oldest):
-            doubtful[count] = c
-            count += 1
-    return doubtful[:count]
-
-
-@compiled
 def mark_dynamic(
-    scan: tuple[Array, Array, Bools],
-    lines: tuple[Array, Ints, Ints, int],
+    ranges: Array,
+    bearings: Array,
+    hit: Bools,
     T_map_robot: Array,
     pose_cov: Array,
     floor: tuple[Bytes, Array, float],
+    mixed: int,
     config: Rows,
 ) -> Bools:
-    """(B,) the beams in runs of hits off long segments that end on floor; (0,) without any.
+    """(B,) the hits in runs of more than `mixed` beams that end on floor; (0,) without any.
 
-    `scan` is ranges, bearings and hit, `lines` the points, first, last and roll of `Segments`; `floor` is the labels
-    (H,W), the origin and the resolution of the grid.
+    `floor` is the labels (H,W), the origin and the resolution of the grid.
     """
-    (ranges, bearings, hit), (points, first, last, roll), limits = scan, lines, config[0]
-    size, asked, dynamic, found = hit.shape[0], hit.copy(), np.zeros(hit.shape[0], np.bool_), False
-    for k in range(first.shape[0]):
-        if math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]) > limits.wall_m:
-            for position in range(first[k] + roll, last[k] + roll + 1):
-                asked[position if position < size else position - size] = False
+    limits, dynamic, found = config[0], np.zeros(ranges.shape[0], np.bool_), False
     x, y, heading = T_map_robot
     place_sigma = math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
     turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
     for i in range(ranges.shape[0]):
-        sigma = place_sigma + ranges[i] * turn_sigma
-        on_floor = asked[i] and ranges[i] < limits.range_m and sigma < limits.max_sigma_m
+        on_floor = hit[i]
         if on_floor:
             p_x, p_y = x + ranges[i] * math.cos(heading + bearings[i]), y + ranges[i] * math.sin(heading + bearings[i])
+            sigma = place_sigma + ranges[i] * turn_sigma
             on_floor = is_floor(floor, p_x, p_y, limits.margin_m + limits.sigmas * sigma)
         run = run + 1 if on_floor else 0
-        if run >= limits.beams:
+        if run > mixed:
             found = True
-            for k in range(limits.beams):
+            for k in range(run):
                 dynamic[i - k] = True
     return dynamic if found else dynamic[:0]
 
@@ -218,7 +167,7 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, conf
 @compiled
 def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools, config: Rows) -> Ints:
     """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
-    clearance, near, count = 0.5 * config[0].width_m[1], np.empty(z.shape[0], np.int64), 0
+    clearance, near, count = config[0].body_m, np.empty(z.shape[0], np.int64), 0
     for i in range(z.shape[0]):
         for k in range(ranges.shape[0] if decision[i] == NEW else 0):
             if not dynamic[k]:

@@ -11,7 +11,7 @@ from mecp_env.core.array_types import Ints
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.merging import find_duplicate
-from mecp_env.slam.landmark_map.pruning import find_pruned
+from mecp_env.slam.landmark_map.pruning import PruneLimits, find_pruned
 from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
 from mecp_env.slam.messages import (
     Belief,
@@ -55,7 +55,7 @@ class LandmarkMap:
         `wide`: the pose was predicted with so large a sigma that the next scan may miss tracks.
         """
         self.polygons.outdated |= drop_tracks(self.features, seen.step, self.config.tracks)
-        match, confirmed = track_corners(self.features, seen, graph, self.config.tracks, wide)
+        match, confirmed = track_corners(self.features, seen, graph, self.config, wide)
         return seen.with_match(match), confirmed
 
     def forget_tracks(self, step: int, resolve: Resolve) -> None:
@@ -86,7 +86,8 @@ class LandmarkMap:
 
     def merge(self, seen: Sighting, landmark_filter: Filter) -> tuple[Sighting, tuple[tuple[int, int], ...]]:
         """The sighting after a landmark of it is merged with another that is the same corner; ids kept and dropped."""
-        pair = find_duplicate(self.features, seen.belief, seen.match, self.config.tracks)
+        merges = self.config.tracks.merge
+        pair = find_duplicate(self.features, seen.belief, seen.match, self.config) if merges else None
         if pair is None or not self._may_merge(pair):
             return seen, ()
         keep, drop = pair
@@ -110,7 +111,9 @@ class LandmarkMap:
     ) -> tuple[Belief, Ints]:
         """Remove landmarks that scans show not to be there or do not confirm; the belief then, and their ids (m,)."""
         belief = seen.belief
-        gone = find_pruned(beams, segments, belief, self.features, seen.step, self.config.dynamic_objects)
+        limits, gone = PruneLimits.of(self.config), np.empty(0, np.int64)
+        if self.config.dynamic_objects.margin_m:
+            gone = find_pruned(beams, segments, belief, self.features, seen.step, limits)
         unconfirmed = find_unconfirmed(self.features.rows, belief.ids, self.config.tracks.record, seen.step)
         gone = np.union1d(gone, unconfirmed) if len(unconfirmed) else gone
         if len(gone):

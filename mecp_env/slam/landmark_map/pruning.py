@@ -8,14 +8,32 @@ such negative evidence, and not seen again in between, is removed.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple, Self
 
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.config import DynamicObjectsConfig
+from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import Belief, FeatureTable, MergedScan, Segments
+
+
+class PruneLimits(NamedTuple):
+    """When a scan speaks against a landmark, and how many do."""
+
+    scans: int  # that speak against it, as many as make a landmark
+    range_m: float  # of the landmark, at most
+    sigmas: float  # of its place in the scan, by which all distances grow
+    beside_m: float  # beams this near to its place, and a wall, pass it
+    beyond_m: float  # this far
+    facing: float  # rad, by which the wall may be turned from a face of it
+
+    @classmethod
+    def of(cls, config: SlamConfig) -> Self:
+        """The limits that a configuration implies."""
+        of_beams = config.tracks.sightings, config.grid.paint_range_m, config.dynamic_objects.sigmas
+        return cls(*of_beams, config.corners.line_m, config.dynamic_objects.beyond_m, config.association.face_turn_rad)
 
 
 def find_pruned(
@@ -24,15 +42,13 @@ def find_pruned(
     belief: Belief,
     features: FeatureTable,
     step: int,
-    config: DynamicObjectsConfig,
+    limits: PruneLimits,
 ) -> Ints:
     """(m,) ids of the landmarks with enough negative evidence; that of this scan is counted in `features`."""
-    if not config.prune_scans:
-        return np.empty(0, np.int64)
     scan = beams.ranges, beams.bearings, beams.blind, segments.points, segments.line
     landmarks = belief.ids, belief.p_map, belief.covs
     pose = belief.T_map_robot, np.ascontiguousarray(belief.pose_cov)
-    return count_doubts(scan, pose, landmarks, features.rows, config.record, step)
+    return count_doubts(scan, pose, landmarks, features.rows, limits, step)
 
 
 @compiled
@@ -41,7 +57,7 @@ def count_doubts(
     pose: tuple[Array, Array],
     landmarks: tuple[Ints, Array, Array],
     rows: Rows,
-    config: Rows,
+    limits: PruneLimits,
     step: int,
 ) -> Ints:
     """(m,) ids of the landmarks with enough doubts, after one more for each that this scan speaks against.
@@ -50,7 +66,7 @@ def count_doubts(
     segments; `pose` is the robot's with its covariance, `landmarks` are ids, means and covariances.
     """
     (ranges, bearings, blind, points, line), (T_map_robot, pose_cov), (ids, p_map, covs) = scan, pose, landmarks
-    limits, gone = config[0], np.empty(ids.shape[0], np.int64)
+    gone = np.empty(ids.shape[0], np.int64)
     c, s, count = math.cos(T_map_robot[2]), math.sin(T_map_robot[2]), 0
     place_var, turn_var = pose_cov[0, 0] + pose_cov[1, 1], pose_cov[2, 2]
     for k in range(ids.shape[0]):
@@ -59,29 +75,30 @@ def count_doubts(
         sigma = math.sqrt(max(place_var + r * r * turn_var + covs[k, 0, 0] + covs[k, 1, 1], 0.0))
         if rows[f].last_step == step:
             rows[f].doubts = 0
-        judged = limits.prune_nearest_m < r < limits.prune_range_m and sigma <= limits.max_sigma_m
-        if rows[f].last_step == step or not judged:
+        if rows[f].last_step == step or not 0.0 < r < limits.range_m:
             continue
         x, y = c * dx + s * dy, c * dy - s * dx
         slack, heading = limits.sigmas * sigma, T_map_robot[2]
-        absent = is_seen_through((ranges, bearings, blind), r, math.atan2(y, x), slack, config)
-        if not absent and not is_inside_wall(points, line, x, y, rows[f].normals, heading, slack, config):
+        absent = is_seen_through((ranges, bearings, blind), r, math.atan2(y, x), slack, limits)
+        if not absent and not is_inside_wall(points, line, x, y, rows[f].normals, heading, slack, limits):
             continue
         rows[f].doubts += 1
-        if rows[f].doubts >= limits.prune_scans:
+        if rows[f].doubts >= limits.scans:
             gone[count] = f
             count += 1
     return gone[:count]
 
 
 @compiled
-def is_seen_through(beams: tuple[Array, Array, bool], r: float, bearing: float, slack: float, config: Rows) -> bool:
+def is_seen_through(
+    beams: tuple[Array, Array, bool], r: float, bearing: float, slack: float, limits: PruneLimits
+) -> bool:
     """True when all beams near a bearing go well beyond the range r; False where some of them would be out of view."""
-    (ranges, bearings, blind), limits, size = beams, config[0], beams[0].shape[0]
+    (ranges, bearings, blind), size = beams, beams[0].shape[0]
     step = (bearings[size - 1] - bearings[0]) / (size - 1)
     middle = round((bearing - bearings[0]) / step)
     half = int((limits.beside_m + slack) / (r * step)) + 1
-    if 2 * half + 1 < limits.beams or 2 * half >= size:
+    if 2 * half >= size:
         return False
     if blind and not half <= middle < size - half:
         return False
@@ -93,22 +110,21 @@ def is_seen_through(beams: tuple[Array, Array, bool], r: float, bearing: float, 
 
 @compiled
 def is_inside_wall(
-    points: Array, line: Array, x: float, y: float, normals: Array, heading: float, slack: float, config: Rows
+    points: Array, line: Array, x: float, y: float, normals: Array, heading: float, slack: float, limits: PruneLimits
 ) -> bool:
     """True when a straight wall is seen on both sides of a corner's place x, y, robot frame, and is one of its faces.
 
     `normals` (2,) of its faces, map frame: a wall that faces the other way is that of the room behind it.
     """
-    limits = config[0]
     for k in range(line.shape[0]):
         off = x * math.cos(line[k, 0]) + y * math.sin(line[k, 0]) - line[k, 1]
         towards = line[k, 0] + math.pi + heading
         first, second = abs(wrap_angle(normals[0] - towards)), abs(wrap_angle(normals[1] - towards))  # nan: unseen
-        if abs(off) > 0.5 * limits.beside_m or not (first < limits.facing_rad or second < limits.facing_rad):
+        if abs(off) > 0.5 * limits.beside_m or not (first < limits.facing or second < limits.facing):
             continue
         ux, uy = points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]
         length = math.hypot(ux, uy)
         along = ((x - points[k, 0, 0]) * ux + (y - points[k, 0, 1]) * uy) / length
-        if limits.inside_m + slack < along < length - limits.inside_m - slack:
+        if limits.beyond_m + slack < along < length - limits.beyond_m - slack:
             return True
     return False

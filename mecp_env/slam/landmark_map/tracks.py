@@ -9,7 +9,7 @@ import numpy as np
 from mecp_env.core.array_types import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn, polar_to_points, to_map
-from mecp_env.slam.config import TrackConfig
+from mecp_env.slam.config import SlamConfig, TrackConfig
 from mecp_env.slam.messages import (
     FEATURE,
     UNKNOWN_ROOM,
@@ -25,12 +25,12 @@ from mecp_env.slam.messages import (
 )
 
 TRACK, LANDMARK, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
-JAMB, FREE_END = int(CornerKind.JAMB), int(CornerKind.FREE_END)
+JAMB = int(CornerKind.JAMB)
 NEW, PROVISIONAL = int(Decision.NEW), int(Decision.PROVISIONAL)
 
 
 def track_corners(
-    features: FeatureTable, seen: Sighting, graph: RoomGraph, config: TrackConfig, wide: bool = False
+    features: FeatureTable, seen: Sighting, graph: RoomGraph, config: SlamConfig, wide: bool = False
 ) -> tuple[Match, Ints]:
     """The match with an id for every corner that is kept, and the corners (c,) whose track is confirmed now.
 
@@ -43,11 +43,12 @@ def track_corners(
     room = graph.rooms_of(corners.beyond, seen.through)
     if NEW in match.decision.tolist():
         seen_as = corners.z, corners.cov, corners.convex, corners.normals
-        track = find_tracks(match.decision, *seen_as, T_map_robot, features.rows, config.record)
+        gate = config.tracks.gate_m, config.sensor.noise_sigmas, config.association.face_turn_rad
+        track = find_tracks(match.decision, *seen_as, T_map_robot, features.rows, gate)
         track[np.isin(track, match.ids[match.decision == PROVISIONAL])] = -1  # the associator's choice
         match = _follow_and_start(features, corners, match, track, room)
     marks = corners.kind, corners.normals, corners.z, T_map_robot
-    return match, count_sightings(features.rows, match.ids, marks, room, graph.current, config.record, seen.step, wide)
+    return match, count_sightings(features.rows, match.ids, marks, room, config.tracks.record, seen.step, wide)
 
 
 def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, track: Ints, room: Ints) -> Match:
@@ -80,27 +81,34 @@ def _drop_tracks(rows: Rows, oldest: int) -> int:
 
 @compiled
 def find_tracks(
-    decision: Ints, z: Array, cov: Array, convex: Bools, normals: Array, T_map_robot: Array, rows: Rows, config: Rows
+    decision: Ints,
+    z: Array,
+    cov: Array,
+    convex: Bools,
+    normals: Array,
+    T_map_robot: Array,
+    rows: Rows,
+    gate: tuple[float, float, float],
 ) -> Ints:
     """(n,) id of the nearest track with the descriptor of each NEW corner, in their order and each once; -1: none.
 
-    The gate is `gate_m` and `gate_sigmas` of the corner's position error, for which the larger of range sigma and arc
-    of bearing sigma is an upper bound. z (n,2) and cov (2n,2n) are the measurements, `normals` (n,2) rad is in the
-    robot frame.
+    The `gate` is in m, in sigmas of the corner's position error, for which the larger of range sigma and arc of bearing
+    sigma is an upper bound, and in rad that a face may turn. z (n,2) and cov (2n,2n) are the measurements, `normals`
+    (n,2) rad is in the robot frame.
     """
-    limits, heading, count = config[0], T_map_robot[2], z.shape[0]
+    (near_m, sigmas, turn), heading, count = gate, T_map_robot[2], z.shape[0]
     p_map, track = to_map(T_map_robot, polar_to_points(z)), np.full(count, -1)
     free = np.empty(rows.shape[0], np.bool_)
     for f in range(rows.shape[0]):
         free[f] = rows[f].state == TRACK
     for i in range(count):
         along, across = cov[2 * i, 2 * i], cov[2 * i + 1, 2 * i + 1] * (z[i, 0] * z[i, 0])
-        best = limits.gate_m + limits.gate_sigmas * math.sqrt(max(along, across))
+        best = near_m + sigmas * math.sqrt(max(along, across))
         for f in range(rows.shape[0]):
             if decision[i] != NEW or not free[f] or convex[i] != rows[f].convex:
                 continue
             distance = math.hypot(p_map[i, 0] - rows[f].p_map[0], p_map[i, 1] - rows[f].p_map[1])
-            if distance <= best and face_turn(normals[i], heading, rows[f].normals) <= limits.descriptor_rad:
+            if distance <= best and face_turn(normals[i], heading, rows[f].normals) <= turn:
                 best, track[i] = distance, f
         if track[i] >= 0:
             free[track[i]] = False
@@ -113,7 +121,6 @@ def count_sightings(
     ids: Ints,
     marks: tuple[Ints, Array, Array, Array],
     room: Ints,
-    current: int,
     config: Rows,
     step: int,
     wide: bool,
@@ -121,8 +128,8 @@ def count_sightings(
     """(c,) the corners whose track has now been seen often enough; `rows` note one sighting of each feature.
 
     `ids` (n,) are the features of the corners, < 0: none; `marks` are kind (n,), normals (n,2) rad and z (n,2) in the
-    robot frame, and the robot's pose. A feature of an open room belongs to that of its corner, `room` (n,); the robot
-    is in `current`. With few landmarks in view, jambs not counted after a `wide` prediction, one sighting is enough.
+    robot frame, and the robot's pose. A feature of an open room belongs to that of its corner, `room` (n,). With few
+    landmarks in view, jambs not counted after a `wide` prediction, one sighting is enough.
     """
     limits, (kind, normals, z, T_map_robot), count, landmarks = config[0], marks, 0, 0
     p_map, confirmed = to_map(T_map_robot, polar_to_points(z)), np.empty(z.shape[0], np.int64)
@@ -140,7 +147,6 @@ def count_sightings(
             if math.isnan(rows[f].normals[k]):
                 rows[f].normals[k] = normals[i, k] + T_map_robot[2]
         needed = limits.jamb_sightings if kind[i] == JAMB else limits.sightings
-        needed = limits.end_sightings if kind[i] == FREE_END and room[i] != current else needed
         needed = 1 if landmarks < limits.few_matches else needed
         if rows[f].state == TRACK and rows[f].seen >= needed:
             confirmed[count] = i
@@ -158,17 +164,3 @@ def find_unconfirmed(rows: Rows, landmarks: Ints, config: Rows, step: int) -> In
             found[count] = f
             count += 1
     return found[:count]
-
-
-@compiled
-def room_unseen_since(ids: Ints, rows: Rows, oldest: int) -> bool:
-    """True when of some room among the landmarks `ids` no landmark was seen since the step `oldest`."""
-    for i in ids:
-        unseen = True
-        for f in range(rows.shape[0]):
-            if rows[f].room == rows[i].room and rows[f].state == LANDMARK and rows[f].last_step >= oldest:
-                unseen = False
-                break
-        if unseen:
-            return True
-    return False

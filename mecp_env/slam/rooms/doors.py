@@ -11,7 +11,7 @@ from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.slam.config import MOST_SIGHTINGS, RoomConfig
+from mecp_env.slam.config import MOST_SIGHTINGS
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Belief,
@@ -23,6 +23,7 @@ from mecp_env.slam.messages import (
     Reason,
     Sighting,
 )
+from mecp_env.slam.rooms.limits import RoomLimits
 
 DYNAMIC = int(Reason.DYNAMIC)
 
@@ -134,7 +135,7 @@ def door_frames(p_map: Array, ids: Ints, jambs: Ints) -> Array:
     return frames
 
 
-def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomConfig) -> None:
+def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, room: int, config: RoomLimits) -> None:
     """Count this scan's doorways of this room; confirm doors, keep the rest as candidates; in place."""
     doorways, id_of = seen.corners.doorways, seen.match.ids.tolist()
     for pair, confirmable in zip(doorways.jambs.tolist(), doorways.confirmable.tolist(), strict=True):
@@ -156,7 +157,7 @@ def _is_elsewhere(seen: Sighting, corner: int) -> bool:
     return bool(outside or seen.match.reason[corner] == DYNAMIC)
 
 
-def _record_gap(door_map: DoorMap, gap: Candidate, features: FeatureTable, belief: Belief, config: RoomConfig) -> None:
+def _record_gap(door_map: DoorMap, gap: Candidate, features: FeatureTable, belief: Belief, config: RoomLimits) -> None:
     """Count one sighting of a gap; `gap.confirmable`: 1 if it was seen well."""
     if gap.ids in door_map.row:
         _see_again(door_map, gap.ids, gap.confirmable > 0, gap.room, config)
@@ -174,7 +175,7 @@ def rooms_next_door(door_map: DoorMap, room: int, sightings: int) -> set[int]:
     return {other for door in sure if room in door.rooms for other in door.rooms} - {room}
 
 
-def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, room: int, config: RoomConfig) -> None:
+def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, room: int, config: RoomLimits) -> None:
     """Count one more sighting of a known door from a room, if it is seen well, up to a limit.
 
     A face seen from within this room is one of its walls: if it was assigned to a room next door, it was first seen
@@ -194,7 +195,7 @@ def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, room:
 
 
 def _confirm(
-    door_map: DoorMap, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomConfig
+    door_map: DoorMap, ids: tuple[int, int], features: FeatureTable, belief: Belief, room: int, config: RoomLimits
 ) -> None:
     """Turn a pair of jambs seen often enough into a door, or into the second face of one."""
     if door_map.sightings[ids] < config.confirm_sightings or not are_landmarks(ids, features):
@@ -220,13 +221,13 @@ def are_landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
     return all(i >= 0 and features.rows["state"][i] == int(FeatureState.LANDMARK) for i in ids)
 
 
-def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomConfig) -> Door | None:
+def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomLimits) -> Door | None:
     """The known door with this sighting added, when the new pair of jambs is one of its faces; None otherwise."""
     offset = new_frame[:2] - frame[:2]
     alike = frame[2] * new_frame[2] + frame[3] * new_frame[3]
     apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
     sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
-    if abs(alike) < 0.9 or sideways > config.same_gap_m or apart > config.wall_thickness_m[1]:
+    if abs(alike) < 0.9 or sideways > config.same_gap_m or apart > config.wall_thickness_m:
         return None
     if alike > 0.0 or door.other_face is not None:
         return replace(door, sightings=door.sightings + 1)
@@ -235,12 +236,12 @@ def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, co
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
 
 
-def _seen_well(door_map: DoorMap, ends: Array, config: RoomConfig) -> int:
+def _seen_well(door_map: DoorMap, ends: Array, config: RoomLimits) -> int:
     """How often the gap with the ends (2,2) was seen well: by the face behind it, or by a jamb since forgotten, too."""
     return max((c.confirmable for c in door_map.candidates if same_gap(c.ends, ends, config)), default=0)
 
 
-def _note_candidate(door_map: DoorMap, new: Candidate, belief: Belief, config: RoomConfig) -> None:
+def _note_candidate(door_map: DoorMap, new: Candidate, belief: Belief, config: RoomLimits) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
     same = [i for i, known in enumerate(door_map.candidates) if same_gap(known.ends, new.ends, config)]
     if lies_in_door(door_map, new.ends, belief, config):
@@ -256,27 +257,27 @@ def _note_candidate(door_map: DoorMap, new: Candidate, belief: Belief, config: R
         door_map.candidates.append(new)
 
 
-def lies_inside(door_map: DoorMap, ends: Array, config: RoomConfig) -> bool:
+def lies_inside(door_map: DoorMap, ends: Array, config: RoomLimits) -> bool:
     """True when the gap with the ends (2,2) was found to lie inside a room."""
     x, y = (0.5 * (ends[0] + ends[1])).tolist() if door_map.inside else (0.0, 0.0)
     return any(math.hypot(x - p_x, y - p_y) < config.same_gap_m for p_x, p_y in door_map.inside)
 
 
-def lies_in_door(door_map: DoorMap, ends: Array, belief: Belief, config: RoomConfig) -> bool:
+def lies_in_door(door_map: DoorMap, ends: Array, belief: Belief, config: RoomLimits) -> bool:
     """True when the gap with the ends (2,2) is a door of the map."""
     x, y = ((ends[0] + ends[1]) / 2.0).tolist()
     middles = door_map.frames(belief)[:, :2].tolist()
     return any(math.hypot(x - d_x, y - d_y) < config.same_gap_m for d_x, d_y in middles)
 
 
-def same_gap(a: Array, b: Array, config: RoomConfig) -> bool:
+def same_gap(a: Array, b: Array, config: RoomLimits) -> bool:
     """True when two gaps with the ends a and b (2,2) are one."""
     (a_x, a_y, c_x, c_y), (b_x, b_y, d_x, d_y) = a.ravel().tolist(), b.ravel().tolist()
     return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.same_gap_m
 
 
 def pass_through(
-    door_map: DoorMap, candidate: Candidate, features: FeatureTable, rooms: tuple[int, int], config: RoomConfig
+    door_map: DoorMap, candidate: Candidate, features: FeatureTable, rooms: tuple[int, int], config: RoomLimits
 ) -> None:
     """The robot drove through a candidate between `rooms`, from the first: it is a door, as sure as one seen well."""
     door_map.candidates = [c for c in door_map.candidates if c is not candidate]

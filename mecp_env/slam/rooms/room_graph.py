@@ -9,7 +9,6 @@ import numpy as np
 
 from mecp_env.core.array_types import Array, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import RoomConfig
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Belief,
@@ -36,6 +35,7 @@ from mecp_env.slam.rooms.doors import (
     rooms_next_door,
     seen_through,
 )
+from mecp_env.slam.rooms.limits import RoomLimits
 from mecp_env.slam.rooms.trail import Trail
 
 LANDMARK = int(FeatureState.LANDMARK)
@@ -45,7 +45,7 @@ LANDMARK = int(FeatureState.LANDMARK)
 class RoomGraphEstimator:
     """Estimates rooms and doors from what is seen and from the robot's path."""
 
-    config: RoomConfig
+    config: RoomLimits
     door_map: DoorMap = field(default_factory=DoorMap)
     current: int = 0
     in_doorway: bool = False

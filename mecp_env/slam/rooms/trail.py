@@ -8,21 +8,21 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.core.array_types import Array
-from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.rooms.limits import RoomLimits
 
 
 @dataclass(slots=True, eq=False)
 class Trail:
-    """Places `trail_step_m` apart, and when they were passed; the oldest are forgotten."""
+    """Places `doorway_m` apart, and when they were passed; the oldest are forgotten."""
 
     places: Array = field(default_factory=lambda: np.empty((0, 4)))
     """(n,4): x, y in m, map frame; the step and the number of features then. The last is where the robot is now."""
 
-    def add(self, step: int, features: int, T_map_robot: Array, config: RoomConfig) -> None:
+    def add(self, step: int, features: int, T_map_robot: Array, config: RoomLimits) -> None:
         """Note where the robot is in a step, and how many features there are."""
         (x, y, _), n = T_map_robot.tolist(), len(self.places)
         places = self.places
-        if n > 1 and math.dist((places.item(n - 2, 0), places.item(n - 2, 1)), (x, y)) < config.trail_step_m:
+        if n > 1 and math.dist((places.item(n - 2, 0), places.item(n - 2, 1)), (x, y)) < config.doorway_m:
             places[n - 1, 0], places[n - 1, 1] = x, y
             return
         kept = self.places[max(n - config.trail_places, 0) :]

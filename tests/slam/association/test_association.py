@@ -156,20 +156,19 @@ def test_jambs_belong_to_both_rooms():
     assert masked(np.array([[1.0, 2.0]]), features, np.inf, home=1) == [[np.inf, 2.0]]
 
 
-def test_possible_pairs_are_those_inside_the_gate_and_of_too_many_the_cheapest():
+def test_possible_pairs_are_those_inside_the_gate():
     costs = np.array([[1.0, 3.0, 99.0], [99.0, 2.0, 4.0]])
 
-    def chosen(fixed, most):
+    def chosen(fixed):
         pairs, cost, left = np.empty((2, 6), np.int64), np.empty(6), costs.copy()
         corners, ids = np.array(list(fixed), np.int64), np.array(list(fixed.values()), np.int64)
-        count = possible_pairs(left, np.array([70, 71, 72]), corners, ids, 13.8, most, pairs, cost)
+        count = possible_pairs(left, np.array([70, 71, 72]), corners, ids, 13.8, pairs, cost)
         assert cost[:count].tolist() == [left[i, j - 70] for i, j in pairs[:, :count].T]
         return pairs[:, :count].T.tolist()
 
-    assert chosen({}, 9) == [[0, 70], [0, 71], [1, 71], [1, 72]]
-    assert chosen({}, 2) == [[0, 70], [1, 71]]
-    assert chosen({0: 72}, 2) == [[0, 72], [1, 71]]
-    assert chosen({0: 72, 1: 70}, 9) == [[0, 72], [1, 70]]
+    assert chosen({}) == [[0, 70], [0, 71], [1, 71], [1, 72]]
+    assert chosen({0: 72}) == [[0, 72], [1, 71], [1, 72]]
+    assert chosen({0: 72, 1: 70}) == [[0, 72], [1, 70]]
 
 
 def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, Door, Doorways, MapPolygon, Match, Sighting
 from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, record_doorways, rename_jambs
+from mecp_env.slam.rooms.limits import RoomLimits
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 from mecp_env.slam.rooms.trail import Trail
 from tests.slam.tables import table_of
@@ -17,7 +18,8 @@ LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, l
 UPPER = {2: (-0.45, 0.06), 3: (0.45, 0.06)}  # seen from above: right is -x
 OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (2.0, 3.0), 9: (2.0, 0.06)}
 
-THIN_WALLS = RoomConfig(wall_thickness_m=(0.05, 0.4))
+LIMITS = RoomLimits.of(SlamConfig())
+THIN_WALLS = RoomLimits.of(SlamConfig(corners=CornerConfig(wall_thickness_m=0.4)))
 
 
 def belief_at(x, y, heading=0.0):
@@ -72,7 +74,7 @@ def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_ro
 
 
 def keeper_with_door():
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     for _ in range(3):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
     return keeper
@@ -87,7 +89,7 @@ def walk(keeper, ys, x=0.0, table=None):
 
 
 def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     for expected in (0, 0, 1):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
         assert len(keeper.door_map.doors) == expected
@@ -97,7 +99,7 @@ def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
 
 def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
     """Two sightings of one face and one of the other; a jamb that was dropped and found again has new ids."""
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     for _ in range(2):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
     look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
@@ -107,7 +109,7 @@ def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
 
 
 def test_a_gap_seen_from_afar_stays_a_candidate():
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     for _ in range(10):
         look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
     assert not keeper.door_map.doors
@@ -191,7 +193,7 @@ def test_beyond_doors_against_shapely():
 
 
 def test_a_new_room_recognised_twice_from_two_places_is_merged():
-    keeper = RoomGraphEstimator(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2)
+    keeper = RoomGraphEstimator(LIMITS, rooms=[0, 1], current=1, newest=1, next_room=2)
     ids = (4, 5, 6)
     look(keeper, belief_at(0.0, -2.0), ids)
     look(keeper, belief_at(0.1, -2.0), ids)  # too near to the first place
@@ -203,7 +205,7 @@ def test_a_new_room_recognised_twice_from_two_places_is_merged():
 
 
 def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
-    keeper, table = RoomGraphEstimator(RoomConfig()), features()
+    keeper, table = RoomGraphEstimator(LIMITS), features()
     walk(keeper, np.arange(-1.5, 1.6, 0.25))
     assert keeper.current == 0  # no door was known
     table.rows["room"][7:] = 0
@@ -219,14 +221,14 @@ def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
 
 
 def test_a_polygon_made_while_the_door_was_unknown_does_not_merge_the_rooms_it_parts():
-    keeper = RoomGraphEstimator(RoomConfig(), rooms=[0, 1], current=1, newest=1, next_room=2, parted={1: (0, 5)})
+    keeper = RoomGraphEstimator(LIMITS, rooms=[0, 1], current=1, newest=1, next_room=2, parted={1: (0, 5)})
     look(keeper, belief_at(0.0, 1.0), (7, 8, 9), polygon_room=0)
     look(keeper, belief_at(0.8, 1.0), (7, 8, 9), polygon_room=0)
     assert keeper.current == 1
 
 
 def test_a_door_passed_and_passed_again_parts_nothing():
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     walk(keeper, (-1.5, -0.5, 0.5, 1.5, 0.5, -0.5, -1.5))
     for _ in range(3):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
@@ -323,7 +325,7 @@ def test_an_old_room_recognised_is_entered_and_merged_only_where_the_room_left_h
     """A corridor entered twice through an unknown door, and left soon both times, stayed two rooms (`hard`)."""
     table = features()
     for own, rooms in ((3, (0, 1)), (2, (0,))):
-        keeper = RoomGraphEstimator(RoomConfig(), rooms=[0, 1], current=1, newest=-1, next_room=2)
+        keeper = RoomGraphEstimator(LIMITS, rooms=[0, 1], current=1, newest=-1, next_room=2)
         table.rows["room"] = [0] * (10 - own) + [1] * own
         look(keeper, belief_at(0.0, -2.0), (4, 5, 6), table=table)
         look(keeper, belief_at(1.6, -2.0), (4, 5, 6), table=table)
@@ -386,13 +388,13 @@ def test_a_candidate_goes_when_its_door_is_confirmed():
     corners, match = sighting(belief, (0, 1), ((0, 1),))
     for step in range(4):
         seen = Sighting(corners, match, np.full(2, -1), belief, step)
-        record_doorways(book, seen, features(), 0, RoomConfig())
+        record_doorways(book, seen, features(), 0, LIMITS)
     assert len(book.doors) == 1
     assert not book.candidates
 
 
 def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
     assert len(keeper.door_map.candidates) == 1
     assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5)) == [0, 0, 0, 1, 1]
@@ -403,7 +405,7 @@ def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
 
 def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now():
     """Its door named the old room, in which the robot was on its way back; the next merge ended the exploration."""
-    keeper = RoomGraphEstimator(RoomConfig())
+    keeper = RoomGraphEstimator(LIMITS)
     keeper.current, keeper.rooms, keeper.next_room = 1, [0, 1], 2
     look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
     keeper._merge(1, 0, features(), belief_at(0.0, -1.5))
@@ -415,7 +417,7 @@ def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now(
 
 def test_a_room_behind_a_gap_that_was_driven_through_is_not_the_one_its_corners_were_assigned_to():
     """They were seen before, through a gap that was no door yet; a home and KTH floors lost rooms by that."""
-    keeper, table = RoomGraphEstimator(RoomConfig()), features()
+    keeper, table = RoomGraphEstimator(LIMITS), features()
     look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False, table=table)
     assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5), table=table)[-1] == 1
     for y in (0.8, 1.6, 2.8):

@@ -3,10 +3,11 @@
 import numpy as np
 from shapely.geometry import LineString
 
-from mecp_env.slam.config import RoomConfig
+from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.rooms.limits import RoomLimits
 from mecp_env.slam.rooms.trail import Trail, last_crossing
 
-CONFIG = RoomConfig()
+CONFIG = RoomLimits.of(SlamConfig())
 MOST = CONFIG.trail_places
 GAP = np.array([[0.45, 0.0], [-0.45, 0.0]])
 
