@@ -10,9 +10,9 @@ import pytest
 from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.checks import SensorError
-from mecp_env.slam.config import DynamicObjectsConfig, SensorModel, SlamConfig
+from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.grid.key_scans import free_and_walls
-from mecp_env.slam.landmark_map.pruning import is_seen_through
+from mecp_env.slam.landmark_map.pruning import PruneLimits, is_seen_through
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.env.helpers import make
 from tests.env.test_goal_actions import explore
@@ -132,11 +132,11 @@ def test_the_blind_side_is_not_painted(degrees):
 
 
 def test_no_landmark_is_seen_through_on_the_blind_side():
-    config = DynamicObjectsConfig().record
+    limits = PruneLimits.of(SlamConfig())
     bearings = np.linspace(-0.5 * math.pi, 0.5 * math.pi, 361)
     ranges = np.full(361, 6.0)
     for bearing, seen in ((0.0, True), (1.2, True), (1.57, False), (2.0, False), (math.pi, False), (-2.5, False)):
-        assert is_seen_through((ranges, bearings, True), 2.0, bearing, 0.0, config) == seen
+        assert is_seen_through((ranges, bearings, True), 2.0, bearing, 0.0, limits) == seen
 
 
 @pytest.mark.parametrize("estimator", ["truth", "known"])
