@@ -168,10 +168,10 @@ class DynamicObjectsConfig(Settings):
         | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m", "beyond_m", "sigmas"}
     )
 
-    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic, and beams that go on
-    # this far behind a landmark, or a wall on both sides, are evidence against it; 0: a static world
-    body_m: float = Field(0.45, ge=0.0, le=5.0)  # from the middle of dynamic beams: what ends nearer is of the same
-    # body, and a new corner nearer to one of them is ignored
+    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic, a new corner nearer to
+    # it is ignored, and beams that go on this far behind a landmark, or a wall on both sides, are evidence against it;
+    # 0: a static world
+    body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
 
 
 class PanoramaConfig(Settings):

@@ -168,7 +168,7 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, conf
 @compiled
 def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools, config: Rows) -> Ints:
     """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
-    clearance, near, count = config[0].body_m, np.empty(z.shape[0], np.int64), 0
+    clearance, near, count = config[0].margin_m, np.empty(z.shape[0], np.int64), 0
     for i in range(z.shape[0]):
         for k in range(ranges.shape[0] if decision[i] == NEW else 0):
             if not dynamic[k]:
