@@ -147,14 +147,16 @@ class CornerConfig(Settings):
 class PolygonConfig(Settings):
     """III-A.2, the Maximum Empty Convex Polygon, or another spatial structure (VI)."""
 
+    GONE: ClassVar = frozenset({"open_width_m"})
+
     structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or one of STRUCTURE_NAMES
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
     check_walls: bool = True  # no polygon that a wall crosses; paper: none
     sites: Literal["posts_too", "corners"] = "posts_too"  # posts where the other corners are too few; paper: "corners"
     crossing_beams: int = Field(3, ge=1, le=100)  # neighbours that end in front of an edge: a wall crosses it
-    depth_m: float = Field(0.2, gt=0.0, le=2.0)  # in front of, behind, or off an edge: by more than this
+    depth_m: float = Field(0.2, gt=0.0, le=2.0)  # in front of, behind, or off an edge: by more than this; a narrower
+    # interval that beams pass is none
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
-    open_width_m: float = Field(0.4, gt=0.0, le=5.0)  # a narrower interval that beams pass is none
     widest_gap_m: float = Field(2.1, gt=0.0, le=10.0)  # between walls: a door, or one seen from the side; else open
 
 
@@ -163,15 +165,13 @@ class DynamicObjectsConfig(Settings):
 
     GONE: ClassVar = frozenset(
         {"range_m", "max_sigma_m", "wall_m", "prune_nearest_m", "closure_nis", "closure_sigma_m", "width_m", "beams"}
-        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m"}
+        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m", "beyond_m", "sigmas"}
     )
 
-    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic; 0: a static world
-    sigmas: float = Field(2.0, ge=0.0, le=10.0)  # of the place of a hit or landmark, by which all distances grow
-    body_m: float = Field(0.45, ge=0.0, le=5.0)  # from the middle of dynamic beams: what ends nearer is of the same
-    # body, and a new corner nearer to one of them is ignored
-    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # evidence against a landmark: all beams go on this far behind it, or
-    # a wall this far on both sides of it
+    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic, a new corner nearer to
+    # it is ignored, and beams that go on this far behind a landmark, or a wall on both sides, are evidence against it;
+    # 0: a static world
+    body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
 
 
 class PanoramaConfig(Settings):

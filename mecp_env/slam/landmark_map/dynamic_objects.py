@@ -38,7 +38,7 @@ class DynamicObjects:
     """The stage for a world where things move; beams (B,) are marked, None stands for none."""
 
     config: DynamicObjectsConfig
-    mixed: int  # neighbours that noise mixes of two surfaces: so many are no object
+    noise: tuple[int, float]  # neighbours that it mixes of two surfaces, so many are no object; sigmas of a place
 
     def find(self, beams: MergedScan, belief: Belief, grid: SemanticGrid) -> Bools | None:
         """(B,) the beams that end on something on floor that the map has seen free."""
@@ -46,7 +46,7 @@ class DynamicObjects:
             return None
         pose_cov, limits = np.ascontiguousarray(belief.pose_cov), self.config.record
         scan, floor = (beams.ranges, beams.bearings, beams.hit), (grid.label, grid.origin, grid.resolution_m)
-        marked = mark_dynamic(*scan, belief.T_map_robot, pose_cov, floor, self.mixed, limits)
+        marked = mark_dynamic(*scan, belief.T_map_robot, pose_cov, floor, self.noise, limits)
         return whole_bodies(beams.ranges, beams.bearings, beams.hit, marked, limits) if len(marked) else None
 
     def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
@@ -72,7 +72,7 @@ class StaticWorld(DynamicObjects):
 
 def make_dynamic_objects(config: DynamicObjectsConfig, sensor: SensorModel) -> DynamicObjects:
     """The stage that `config` describes, with a laser."""
-    return (DynamicObjects if config.margin_m else StaticWorld)(config, sensor.edge_beams)
+    return (DynamicObjects if config.margin_m else StaticWorld)(config, (sensor.edge_beams, sensor.noise_sigmas))
 
 
 def without_dynamic(segments: Segments, dynamic: Bools) -> Segments:
@@ -94,14 +94,15 @@ def mark_dynamic(
     T_map_robot: Array,
     pose_cov: Array,
     floor: tuple[Bytes, Array, float],
-    mixed: int,
+    noise: tuple[int, float],
     config: Rows,
 ) -> Bools:
-    """(B,) the hits in runs of more than `mixed` beams that end on floor; (0,) without any.
+    """(B,) the hits in runs of beams that end on floor; (0,) without any.
 
-    `floor` is the labels (H,W), the origin and the resolution of the grid.
+    `floor` is the labels (H,W), the origin and the resolution of the grid; `noise` how many neighbours it mixes, which
+    are no object, and the sigmas of the place of a hit by which the margin grows.
     """
-    limits, dynamic, found = config[0], np.zeros(ranges.shape[0], np.bool_), False
+    (mixed, sigmas), dynamic, found = noise, np.zeros(ranges.shape[0], np.bool_), False
     x, y, heading = T_map_robot
     place_sigma = math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
     turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
@@ -110,7 +111,7 @@ def mark_dynamic(
         if on_floor:
             p_x, p_y = x + ranges[i] * math.cos(heading + bearings[i]), y + ranges[i] * math.sin(heading + bearings[i])
             sigma = place_sigma + ranges[i] * turn_sigma
-            on_floor = is_floor(floor, p_x, p_y, limits.margin_m + limits.sigmas * sigma)
+            on_floor = is_floor(floor, p_x, p_y, config[0].margin_m + sigmas * sigma)
         run = run + 1 if on_floor else 0
         if run > mixed:
             found = True
@@ -167,7 +168,7 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, conf
 @compiled
 def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools, config: Rows) -> Ints:
     """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
-    clearance, near, count = config[0].body_m, np.empty(z.shape[0], np.int64), 0
+    clearance, near, count = config[0].margin_m, np.empty(z.shape[0], np.int64), 0
     for i in range(z.shape[0]):
         for k in range(ranges.shape[0] if decision[i] == NEW else 0):
             if not dynamic[k]:

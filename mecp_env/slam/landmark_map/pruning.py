@@ -32,8 +32,8 @@ class PruneLimits(NamedTuple):
     @classmethod
     def of(cls, config: SlamConfig) -> Self:
         """The limits that a configuration implies."""
-        of_beams = config.tracks.sightings, config.grid.paint_range_m, config.dynamic_objects.sigmas
-        return cls(*of_beams, config.corners.line_m, config.dynamic_objects.beyond_m, config.association.face_turn_rad)
+        of_beams = config.tracks.sightings, config.grid.paint_range_m, config.sensor.noise_sigmas
+        return cls(*of_beams, config.corners.line_m, config.dynamic_objects.margin_m, config.association.face_turn_rad)
 
 
 def find_pruned(

@@ -132,7 +132,7 @@ def beam_effects(edge: Edge, beams: EdgeBeams, depth: float) -> tuple[Ints, Arra
 
 @compiled
 def passing_intervals(edge: Edge, beams: EdgeBeams, limits: Record) -> Array:
-    """Intervals (s,2) of an edge, in metres from its start, that beams pass by `depth_m`, `open_width_m` long.
+    """Intervals (s,2) of an edge, in metres from its start, that beams pass by `depth_m`, as long or longer.
 
     An interval ends half way to the first beam that stops at the edge, or at the edge's end. A beam that stops well in
     front of the edge (at a pillar, at a person) is no evidence: it neither makes nor ends an interval.
@@ -146,12 +146,12 @@ def passing_intervals(edge: Edge, beams: EdgeBeams, limits: Record) -> Array:
             continue
         if effect != before and before != SHORT:
             border = min(max(edge.distance * math.tan(0.5 * (off[step] + last)) - edge.start, 0.0), edge.length)
-            if effect == STOPS and border - begin >= limits.open_width_m:
+            if effect == STOPS and border - begin >= limits.depth_m:
                 intervals[found, 0], intervals[found, 1] = begin, border
                 found += 1
             begin = border
         before, last = effect, off[step]
-    if before == PASSES and edge.length - begin >= limits.open_width_m:
+    if before == PASSES and edge.length - begin >= limits.depth_m:
         intervals[found, 0], intervals[found, 1] = begin, edge.length
         found += 1
     return intervals[:found]

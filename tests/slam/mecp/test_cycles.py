@@ -265,7 +265,7 @@ def plain_intervals(a, b, tolerance, view):
         run = list(run)
         begin = 0.0 if run[0] == 0 else along[run[0] - 1]
         end = np.hypot(*(b - a)) if run[-1] == len(passes) - 1 else along[run[-1]]
-        if value and end - begin >= 0.4:
+        if value and end - begin >= 0.2:
             intervals.append((begin, end))
     return np.array(intervals).reshape(-1, 2)
 
