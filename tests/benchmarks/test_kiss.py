@@ -15,7 +15,7 @@ from benchmarks import kiss, loop
 from benchmarks.common import Figures, OptionError
 from benchmarks.drives import Drive
 from benchmarks.variants import KISS
-from mecp_env.core.se2 import compose
+from mecp_env.core.se2 import compose, inverse, to_map
 from tests.benchmarks.test_loop import drive, finished  # noqa: F401  (fixtures)
 
 needs_kiss = pytest.mark.skipif(importlib.util.find_spec(kiss.PACKAGE) is None, reason="extra `lab`")
@@ -139,3 +139,17 @@ def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
     assert note in loop.report({"paper": loop.summarise([without])})
     assert note not in loop.report({"paper": loop.summarise([with_rows])})
     assert set(loop.summarise([with_rows, without])) == {"mecp"}
+
+
+@needs_kiss
+def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: loop.Finished) -> None:  # noqa: F811
+    seen, T = loop.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
+    associator = loop.associator_of(KISS[ON_POINTS], drive.slam)
+    assert isinstance(associator, kiss.KissPointsAssociator)
+    assert seen.beams is not None
+    associator.look_at(seen.beams, finished.pipeline.grid.canvas.grid)
+    predicted = finished.pipeline.filter.belief()
+    associator.p_map = to_map(compose(predicted.T_map_robot, T), associator.p_robot)
+    found = associator._pose(np.empty((0, 2)), np.empty((0, 2)), predicted)
+    assert found is not None
+    assert compose(inverse(predicted.T_map_robot), found) == pytest.approx(T, abs=0.1)
