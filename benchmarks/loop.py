@@ -5,9 +5,11 @@ filter gets the true pose with a random error of a given sigma in x, y and headi
 the map; the room is unknown. Every variant decides on the same scans, errors and map; only association differs. The
 scans are among those that the map was made of. In `mecp`, polygons and cliques propose poses where the prediction is
 wide; the rows without one of them have the other. `mecp in one pass` pairs everything at the prediction, however wide
-that is. `jcbb`, `ccda` and `clipper` (benchmarks/clipper.py) work in one pass and without polygons
-(docs/associators.md). `jcbb with descriptor in two passes` is `mecp` without polygons, and `jcbb with all of mecp` is
-`mecp`, with branch and bound in place of the greedy pairing.
+that is. `jcbb`, `ccda`, `clipper` (benchmarks/clipper.py) and `kiss-matcher` (benchmarks/kiss.py) work in one pass and
+without polygons (docs/associators.md). `kiss-matcher with descriptor` prunes and solves the pairs that are the nodes of
+`ccda`; `kiss-matcher on points` registers the walls of scan and map by features of its own. `jcbb with descriptor in
+two passes` is `mecp` without polygons, and `jcbb with all of mecp` is `mecp`, with branch and bound in place of the
+greedy pairing.
 
 A scan is right when at least three corners are paired with their landmarks and none is paired wrongly. In `possible` of
 the scans at least three corners have a landmark: no variant can be right more often. `hard` are generated buildings of
@@ -28,11 +30,13 @@ from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
 from benchmarks.drives import Drive
+from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import (
     CLIPPER,
     DEFAULT,
+    KISS,
     ONE_PASS,
     POLYGONS_ALONE,
     WITHOUT_POLYGONS,
@@ -72,6 +76,7 @@ VARIANTS: dict[str, Variant] = {
     "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
     "ccda with descriptor": rival("ccda with descriptor"),
     "clipper with descriptor": CLIPPER,
+    **(KISS if installed() else {}),
     "nearest": Variant({"association": {"method": "nearest"}}),
     "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
 }
@@ -119,6 +124,7 @@ class Look:
     polygons: tuple[Polygon, ...]
     true: Ints  # (n,) true corner of each corner, -1 for none
     T_map_robot: Array  # (3,) true pose
+    beams: MergedScan | None = None
 
 
 def run(options: Options) -> Figures:
@@ -196,16 +202,11 @@ def finish(drive: Drive) -> Finished:
 
 def look(drive: Drive, finished: Finished, step: int) -> Look:
     """The features of a scan of the drive."""
-    corners, polygons = features(drive.scans[step], drive.slam)
+    corners, beams, wall = front_end(drive.scans[step], drive.slam)
+    polygons = find_structure(corners, beams, drive.slam.polygon, wall)
     T_world_robot = drive.T_world_robot[step]
     T_map_robot = compose(finished.T_map_world, T_world_robot)
-    return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot)
-
-
-def features(scan: Scan, slam: SlamConfig) -> tuple[Corners, tuple[Polygon, ...]]:
-    """Corners and polygons of a scan, as the pipeline extracts them where no door is known."""
-    corners, beams, wall = front_end(scan, slam)
-    return corners, find_structure(corners, beams, slam.polygon, wall)
+    return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot, beams)
 
 
 def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
@@ -232,6 +233,8 @@ def count_scans(
         belief.set_pose(seen.T_map_robot + error * sigmas, np.diag(sigmas**2))
         through = np.full(len(seen.corners), -1)
         view: MapView = pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1)
+        if isinstance(associator, KissPointsAssociator) and seen.beams is not None:
+            associator.look_at(seen.beams, pipeline.grid.canvas.grid)
         begun = time.perf_counter()
         match = associator.associate(seen.corners, seen.polygons, view, belief)
         seconds.append(time.perf_counter() - begun)
@@ -251,6 +254,7 @@ def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
     return {
         name: {sigma: figures_of([drive[name][sigma] for drive in drives]) for sigma in drives[0][name]}
         for name in drives[0]
+        if all(name in drive for drive in drives)  # the package of a row may not be installed everywhere
     }
 
 
@@ -271,6 +275,8 @@ def figures_of(drives: list[Figures]) -> Figures:
 def report(figures: Figures) -> str:
     """Per set a table of right scans, one of wrong pairs, one of recognised polygons and one of times."""
     parts = [str(__doc__).partition("\n\n")[2].strip()]
+    if not any(name in variants for variants in figures.values() for name in KISS):
+        parts.append("KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing.")
     for layout, variants in figures.items():
         first = next(iter(variants[DEFAULT].values()))
         parts.append(f"## {layout} ({first['right']['n']} drives, {first['scans']} scans per cell)")

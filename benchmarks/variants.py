@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from benchmarks.clipper import ClipperAssociator
+from benchmarks.kiss import KissAssociator, KissPointsAssociator
 from mecp_env.config import merge
 from mecp_env.core.array_types import Array
 from mecp_env.slam.association import MecpAssociator, make_associator
@@ -91,6 +92,10 @@ WITHOUT_POLYGONS = Variant({"association": {"use_polygons": False}})
 ONE_PASS = Variant(make=OnePassAssociator)
 POLYGONS_ALONE = Variant(make=PolygonAssociator)
 CLIPPER = Variant({"association": {"use_rooms": False}}, ClipperAssociator)
+KISS = {  # where the package is installed
+    "kiss-matcher with descriptor": Variant(CLIPPER.change, KissAssociator),
+    "kiss-matcher on points": Variant(CLIPPER.change, KissPointsAssociator),
+}
 
 RIVALS: dict[str, dict[str, Any]] = {  # fields of the association section; none uses polygons
     "jcbb": {"method": "jcbb", "use_rooms": False, "use_descriptor": False},

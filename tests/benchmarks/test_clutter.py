@@ -11,7 +11,7 @@ from benchmarks import clutter, noise
 from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.common import Figures, OptionError, Options, flatten
 from benchmarks.drives import Drive, replay
-from benchmarks.loop import features
+from benchmarks.loop import front_end
 from benchmarks.records import Course
 from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import polar_to_points
@@ -28,7 +28,7 @@ def drive() -> Drive:
 
 @pytest.fixture(scope="module")
 def scans(drive: Drive) -> list[tuple[Corners, MergedScan]]:
-    return [(features(scan, drive.slam)[0], merge_sweeps(scan, drive.slam.sensor)) for scan in drive.scans]
+    return [(front_end(scan, drive.slam)[0], merge_sweeps(scan, drive.slam.sensor)) for scan in drive.scans]
 
 
 def test_no_clutter_is_the_estimator_itself_to_the_bit(drive: Drive) -> None:

@@ -1,0 +1,155 @@
+"""KISS-Matcher as an associator, with the package and with a stand-in."""
+
+from __future__ import annotations
+
+import dataclasses
+import importlib.util
+import sys
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks import kiss, loop
+from benchmarks.common import Figures, OptionError
+from benchmarks.drives import Drive
+from benchmarks.variants import KISS
+from mecp_env.core.se2 import compose, inverse, to_map
+from tests.benchmarks.test_loop import drive, finished  # noqa: F401  (fixtures)
+
+needs_kiss = pytest.mark.skipif(importlib.util.find_spec(kiss.PACKAGE) is None, reason="extra `lab`")
+ON_PAIRS, ON_POINTS = KISS
+SIGMA, WIDE = (0.3, 3.0), (1.0, 10.0)
+
+
+class StandIn:
+    """A matcher that answers with a pose that it is told, and keeps what it is given."""
+
+    def __init__(self, T: np.ndarray, valid: bool) -> None:
+        c, s = np.cos(T[2]), np.sin(T[2])
+        self.solution = SimpleNamespace(
+            valid=valid, rotation=np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), translation=np.array([*T[:2], 0.0])
+        )
+        self.given: list[np.ndarray] = []
+
+    def prune_and_solve(self, *clouds: list[np.ndarray]) -> SimpleNamespace:
+        self.given = [np.array(cloud) for cloud in clouds]
+        return self.solution
+
+    estimate = prune_and_solve
+
+    def reset(self) -> None:
+        pass
+
+    reset_solver = reset
+
+
+def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True) -> StandIn:
+    matcher = StandIn(T, valid)
+    module = SimpleNamespace(KISSMatcherConfig=lambda **_: None, KISSMatcher=lambda _: matcher)
+    monkeypatch.setitem(sys.modules, kiss.PACKAGE, module)
+    return matcher
+
+
+def count(drive: Drive, finished: loop.Finished, name: str, seen: loop.Look, errors: np.ndarray) -> Figures:  # noqa: F811
+    associator = loop.associator_of(KISS[name], drive.slam)
+    return loop.count_scans(finished, associator, [seen] * len(errors), SIGMA, errors)
+
+
+ERRORS = np.random.default_rng(3).normal(size=(4, 3))
+
+
+def test_pairs_are_those_that_fit_at_the_pose_found(
+    monkeypatch: pytest.MonkeyPatch,
+    drive: Drive,  # noqa: F811
+    finished: loop.Finished,  # noqa: F811
+) -> None:
+    seen = loop.look(drive, finished, 100)
+    matcher = stand_in(monkeypatch, seen.T_map_robot)
+    counts = count(drive, finished, ON_PAIRS, seen, ERRORS)
+    assert (counts["right"], counts["wrong"]) == (4, 0)
+    corners, landmarks = matcher.given
+    assert corners.shape == landmarks.shape
+    assert len(corners) >= counts["pairs"] / 4
+    assert not corners[:, 2].any()
+
+    beside = compose(seen.T_map_robot, np.array([3 * kiss.VOXEL_M, 3 * kiss.VOXEL_M, 0.0]))
+    stand_in(monkeypatch, beside)
+    assert count(drive, finished, ON_PAIRS, seen, ERRORS)["right"] == 0
+    stand_in(monkeypatch, seen.T_map_robot, valid=False)
+    assert count(drive, finished, ON_PAIRS, seen, ERRORS)["pairs"] == 0
+
+
+def test_the_walls_are_given_high_and_from_the_predicted_pose(
+    monkeypatch: pytest.MonkeyPatch,
+    drive: Drive,  # noqa: F811
+    finished: loop.Finished,  # noqa: F811
+) -> None:
+    seen, exact = loop.look(drive, finished, 100), np.zeros((1, 3))
+    matcher = stand_in(monkeypatch, np.zeros(3))  # the prediction is right
+    counts = count(drive, finished, ON_POINTS, seen, exact)
+    assert (counts["right"], counts["wrong"]) == (1, 0)
+    scan, walls = matcher.given
+    layers = len(np.unique(scan[:, 2]))
+    assert layers == round(kiss.HEIGHT_M / kiss.VOXEL_M) == len(np.unique(walls[:, 2]))
+    assert seen.beams is not None
+    assert len(scan) == layers * seen.beams.hit.sum()
+    nearest = [np.hypot(*(walls[:, :2] - point[:2]).T).min() for point in scan[:: 10 * layers]]
+    assert np.median(nearest) < 0.1  # both clouds are in the robot's frame
+
+
+def test_nothing_is_paired_without_two_pairs_to_solve(
+    monkeypatch: pytest.MonkeyPatch,
+    drive: Drive,  # noqa: F811
+    finished: loop.Finished,  # noqa: F811
+) -> None:
+    seen = loop.look(drive, finished, 100)
+    matcher = stand_in(monkeypatch, seen.T_map_robot)
+    associator = loop.associator_of(KISS[ON_PAIRS], drive.slam)
+    far = dataclasses.replace(seen, T_map_robot=np.array([500.0, 500.0, 0.0]))
+    assert loop.count_scans(finished, associator, [far], SIGMA, np.zeros((1, 3)))["pairs"] == 0
+    assert not matcher.given
+
+
+@needs_kiss
+def test_most_scans_are_right_at_a_rough_pose(drive: Drive, finished: loop.Finished) -> None:  # noqa: F811
+    looks = [loop.look(drive, finished, step) for step in range(20, len(drive.scans), 10)]
+    errors = np.random.default_rng(0).normal(size=(len(looks), 3))
+
+    def right(variant: Any) -> int:
+        return int(loop.count_scans(finished, loop.associator_of(variant, drive.slam), looks, WIDE, errors)["right"])
+
+    assert right(KISS[ON_PAIRS]) >= 0.9 * len(looks)
+    assert right(KISS[ON_PAIRS]) >= right(KISS[ON_POINTS])
+
+
+def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
+    monkeypatch: pytest.MonkeyPatch,
+    drive: Drive,  # noqa: F811
+    finished: loop.Finished,  # noqa: F811
+) -> None:
+    monkeypatch.setitem(sys.modules, kiss.PACKAGE, None)
+    with pytest.raises(OptionError, match=r"pip install -e '.\[lab\]'"):
+        loop.associator_of(KISS[ON_PAIRS], drive.slam)
+    looks = [loop.look(drive, finished, 100)] * len(ERRORS)
+    cell = loop.count_scans(finished, loop.associator_of(loop.VARIANTS["mecp"], drive.slam), looks, SIGMA, ERRORS)
+    without, with_rows = {"mecp": {"s": cell}}, {name: {"s": cell} for name in ("mecp", *KISS)}
+    note = "its rows are missing"
+    assert note in loop.report({"paper": loop.summarise([without])})
+    assert note not in loop.report({"paper": loop.summarise([with_rows])})
+    assert set(loop.summarise([with_rows, without])) == {"mecp"}
+
+
+@needs_kiss
+def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: loop.Finished) -> None:  # noqa: F811
+    seen, T = loop.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
+    associator = loop.associator_of(KISS[ON_POINTS], drive.slam)
+    assert isinstance(associator, kiss.KissPointsAssociator)
+    assert seen.beams is not None
+    associator.look_at(seen.beams, finished.pipeline.grid.canvas.grid)
+    predicted = finished.pipeline.filter.belief()
+    associator.p_map = to_map(compose(predicted.T_map_robot, T), associator.p_robot)
+    found = associator._pose(np.empty((0, 2)), np.empty((0, 2)), predicted)
+    assert found is not None
+    assert compose(inverse(predicted.T_map_robot), found) == pytest.approx(T, abs=0.1)
