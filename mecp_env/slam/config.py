@@ -165,12 +165,13 @@ class DynamicObjectsConfig(Settings):
 
     GONE: ClassVar = frozenset(
         {"range_m", "max_sigma_m", "wall_m", "prune_nearest_m", "closure_nis", "closure_sigma_m", "width_m", "beams"}
-        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m", "beyond_m", "sigmas"}
+        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m", "sigmas"}
     )
 
-    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic, a new corner nearer to
-    # it is ignored, and beams that go on this far behind a landmark, or a wall on both sides, are evidence against it;
-    # 0: a static world
+    margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic, and a new corner nearer
+    # to it is ignored; 0: a static world
+    beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # beams that all go on this far behind a landmark are evidence against
+    # it, and a wall this far on both sides of it
     body_m: float = Field(0.45, ge=0.0, le=5.0)  # beams that end this near to the middle of dynamic ones are so, too
 
 

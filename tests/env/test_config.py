@@ -56,7 +56,7 @@ WRONG = [
     {"robot": {"max_speed_m_s": -1.0}},
     {"slam": {"corners": {"door_width_m": (1.0, 0.5)}}},
     {"slam": {"polygon": {"widest_gap_m": -0.1}}},
-    {"slam": {"rooms": {"wall_thickness_m": (0.4, 0.1)}}},
+    {"slam": {"rooms": {"recognise_corners": 0}}},
 ]
 IN_VAIN = [  # nothing can be explored
     ({"slam": {"grid": {"resolution_m": 1.0}}}, r"slam\.grid\.resolution_m: 1 m, at most 0\.44 m"),
@@ -96,7 +96,7 @@ def test_wrong_values_are_refused_with_field_and_value(fields):
             "EnvConfig.slam.filter.kind: Input should be 'riekf', 'riekf_submaps', 'ekf' or 'fej'; did",
         ),
         ({"crowd": {"people": "4"}}, "EnvConfig.crowd.people: Input should be a number (given: '4')"),
-        ({"slam": {"filter": {"kind": 1}, "rooms": {"wall_thickness_m": "x"}}}, "EnvConfig.slam.filter.kind: "),
+        ({"slam": {"filter": {"kind": 1}, "rooms": {"doorway_m": "x"}}}, "EnvConfig.slam.filter.kind: "),
         ({"start": "nowhere"}, "EnvConfig.start: Input should be 'layout' or 'random'"),
     ],
 )

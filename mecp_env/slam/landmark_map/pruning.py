@@ -33,7 +33,7 @@ class PruneLimits(NamedTuple):
     def of(cls, config: SlamConfig) -> Self:
         """The limits that a configuration implies."""
         of_beams = config.tracks.sightings, config.grid.paint_range_m, config.sensor.noise_sigmas
-        return cls(*of_beams, config.corners.line_m, config.dynamic_objects.margin_m, config.association.face_turn_rad)
+        return cls(*of_beams, config.corners.line_m, config.dynamic_objects.beyond_m, config.association.face_turn_rad)
 
 
 def find_pruned(
