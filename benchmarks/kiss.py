@@ -75,8 +75,8 @@ class KissAssociator(CcdaAssociator):
         rows, columns = candidate_pairs(table.costs, self.gate, self.config.search_budget)
         rows, columns = self._fitting(polar_to_points(corners.z), rows, columns, view.belief)
         ids = view.belief.ids[columns]
-        iterations = 1 if self.config.is_sharp(view.belief) else self.config.iterations
-        fits = jointly_compatible(corners, rows, ids, belief, self.config, iterations)
+        iterate = not self.config.is_sharp(view.belief)
+        fits = jointly_compatible(corners, rows, ids, belief, self.config, iterate)
         costs = table.costs[rows, columns]
         builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], costs[fits])
         return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
