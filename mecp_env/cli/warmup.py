@@ -9,7 +9,7 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import FAILED, echo
+from mecp_env.cli.exit_codes import FAILED, echo, print_error
 
 
 @dataclass(frozen=True)
@@ -29,11 +29,15 @@ class WarmUp(Command):
 
         place, together = jit.cache_directory(), (self.jobs or cores()) > 1
         if not jit.usable(place):
-            echo(f"{place} cannot be written; NUMBA_CACHE_DIR names another folder")
+            print_error(f"{place} cannot be written; NUMBA_CACHE_DIR names another folder")
             return FAILED
         with Progress(SpinnerColumn(), TextColumn("{task.completed} functions")) as bar:
             task = bar.add_task("compiling", total=None)
-            for drives in (warm_up.FIRST, warm_up.LATER) if together else zip(warm_up.FIRST + warm_up.LATER):
-                warm_up.compile_ahead(drives, lambda count: bar.update(task, completed=count))
+            rows = (warm_up.FIRST, warm_up.LATER) if together else zip(warm_up.FIRST + warm_up.LATER)
+            failed = [warm_up.compile_ahead(drives, lambda count: bar.update(task, completed=count)) for drives in rows]
+        if any(failed):
+            names = [name for row in failed for name in row]
+            print_error(f"drives that failed: {', '.join(names)}; python -m {warm_up.DRIVES} {names[0]} says why")
+            return FAILED
         echo(f"functions compiled, in {place}")
         return 0

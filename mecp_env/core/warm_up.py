@@ -30,7 +30,8 @@ def prepare() -> None:
     """On first use: compile what an episode calls, say so in one line, and wait for it; never in a worker of a pool."""
     if os.environ.get(SWITCH) != "0" and multiprocessing.parent_process() is None and is_cold():
         log.warning("mecp_env: compiling functions; once, for a minute or two (%s=0 switches it off)", SWITCH)
-        compile_ahead(FIRST, show)
+        if compile_ahead(FIRST, show):
+            log.warning("mecp_env: compiling ahead failed: functions are compiled when they are called")
 
 
 def is_cold() -> bool:
@@ -46,8 +47,11 @@ def show(count: int) -> None:
         sys.stderr.flush()
 
 
-def compile_ahead(drives: Sequence[str], report: Callable[[int], None]) -> None:
-    """Run the drives at the same time, and report how many functions are compiled; whatever happens, none runs on."""
+def compile_ahead(drives: Sequence[str], report: Callable[[int], None]) -> tuple[str, ...]:
+    """Run the drives at the same time, and report how many functions are compiled; whatever happens, none runs on.
+
+    Returns those that failed.
+    """
     place, path = cache_directory(), [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
     env = os.environ | {SWITCH: "0", "PYTHONPATH": os.pathsep.join(path)}
     silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
@@ -62,3 +66,4 @@ def compile_ahead(drives: Sequence[str], report: Callable[[int], None]) -> None:
             helper.wait()
     with contextlib.suppress(OSError):
         (place / DONE).touch()
+    return tuple(name for name, helper in zip(drives, helpers, strict=True) if helper.returncode)

@@ -111,9 +111,7 @@ class GapConfig(Settings):
 
     GONE: ClassVar = frozenset({"parallel_deg", "offset_m", "deep_m"})
 
-    oblique_deg: float = Field(
-        60.0, gt=0.0, lt=90.0
-    )  # between the two walls beside a door, where it is in line with one
+    oblique_deg: float = Field(60.0, gt=0.0, lt=90.0)  # between the walls beside a door, where it is in line with one
     deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on deeper than any wall: else
     # it is a niche
     plain_width_m: float = Field(1.3, gt=0.0, le=10.0)  # wider, a gap is a door only between walls in line, and

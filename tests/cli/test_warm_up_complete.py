@@ -96,10 +96,18 @@ def test_warm_up_takes_as_many_processes_as_it_may(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jobs: str, rows: list[tuple[str, ...]]
 ) -> None:
     driven: list[tuple[str, ...]] = []
-    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: driven.append(drives))
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: driven.append(drives) or ())
     assert cli.main(["warmup", "--jobs", jobs]) == 0
     assert driven == rows
     assert "functions compiled" in capsys.readouterr().out
+
+
+def test_a_drive_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: ("log",) if "log" in drives else ())
+    assert cli.main(["warmup"]) == 1
+    said = capsys.readouterr()
+    assert "mecp_env.cli.exercise log" in said.out + said.err
+    assert "functions compiled" not in said.out
 
 
 def test_warm_up_fails_where_nothing_can_be_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
