@@ -2,8 +2,7 @@
 
 The promise is "the same bits for one version on one machine type": sin, cos and atan2 of the C library differ between
 processors with and without fused multiply-add, and products of matrices between the kernels that OpenBLAS has for
-processors. So the hashes are stored by a probe of these functions.
-OPENBLAS_CORETYPE=Zen or SkylakeX in the environment gives those of the other processors.
+processors. So the hashes are stored by a probe of these functions, and `--write` stores those of each of `KERNELS`.
 """
 
 from __future__ import annotations
@@ -12,6 +11,9 @@ import argparse
 import hashlib
 import json
 import math
+import os
+import subprocess
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -29,6 +31,7 @@ from mecp_env.planning.breadth_first import BreadthFirst
 from tests.floorplans.plans import map_pair, two_rooms_picture
 
 STORE = Path(__file__).parent / "data" / "golden.json"
+KERNELS = ("Zen", "SkylakeX")  # of OpenBLAS, for processors of AMD and Intel
 SEED = 7
 PAPER_MAP, ROOMS = "mecp_env/PaperMap-v0", "mecp_env/Rooms-v0"
 LAYOUT, FLOOR_PLAN = "mecp_env/Layout-v0", "mecp_env/FloorPlan-v0"
@@ -239,18 +242,27 @@ def stored() -> dict[str, dict[str, Hashes]]:
     return json.loads(STORE.read_text()) if STORE.is_file() else {}
 
 
+def kernel_hashes(kernel: str, cases: list[str]) -> dict[str, dict[str, Hashes]]:
+    """Hashes by probe, then case, of a process that computes with such a kernel of OpenBLAS."""
+    command = [sys.executable, "-m", "tests.golden", *cases]
+    environment = os.environ | {"OPENBLAS_CORETYPE": kernel}
+    return json.loads(subprocess.run(command, env=environment, stdout=subprocess.PIPE, text=True, check=True).stdout)
+
+
 def main() -> None:
-    """Print the hashes of this machine; store them with `--write`."""
+    """Print the hashes of this machine, or store those of each kernel of OpenBLAS with `--write`."""
     parser = argparse.ArgumentParser(prog="python -m tests.golden", description=main.__doc__)
     parser.add_argument("cases", nargs="*", metavar="CASE", help=f"all by default: {', '.join(CASES)}")
     parser.add_argument("--write", action="store_true")
     args = parser.parse_args()
-    hashes = {case: run_hashes(case) for case in args.cases or CASES}
-    print(json.dumps({probe(): hashes}, indent=1))
-    if args.write:
-        every = stored()
-        every[probe()] = every.get(probe(), {}) | hashes
-        STORE.write_text(json.dumps(every, indent=1, sort_keys=True) + "\n")
+    if not args.write:
+        print(json.dumps({probe(): {case: run_hashes(case) for case in args.cases or CASES}}, indent=1))
+        return
+    every = stored()
+    for kernel in KERNELS:
+        for machine, hashes in kernel_hashes(kernel, args.cases).items():
+            every[machine] = every.get(machine, {}) | hashes
+    STORE.write_text(json.dumps(every, indent=1, sort_keys=True) + "\n")
 
 
 if __name__ == "__main__":

@@ -24,6 +24,8 @@ class FullFilterWarning(UserWarning):
 class Filter(Protocol):
     """A landmark filter: pose (x, y, heading) and points, measured by range and bearing.
 
+    `mecp_env.slam.filters.WindowFilter` is a base class that computes all tests from the joint Gaussian.
+
     Ids below `NO_ID` are marks of past poses (slam/panorama): they are updated like landmarks, but `ids` and `belief`
     leave them out.
 

@@ -11,6 +11,7 @@ import numpy as np
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.core.snapshot_shapes import FAR, LONG, NEAR, Shapes, check_declared
+from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import FEATURE, NO_ID, FeatureState
 
@@ -89,7 +90,7 @@ def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
     if not np.isin(landmarks, pipeline.filter.ids).all():
         raise StateError(f"{where}.map.features.rows: a landmark that is not in the filter")
     check_polygons(pipeline.map.polygons, f"{where}.map.polygons")
-    if hasattr(pipeline.filter, "slot_ids"):  # else a custom filter, which stores what it likes
+    if isinstance(pipeline.filter, LandmarkFilter):  # a custom filter stores what it likes
         check_filter(pipeline.filter, len(rows), marks_of(pipeline, where), f"{where}.filter")
     check_grid(pipeline.grid, pipeline.config.grid.resolution_m, f"{where}.grid")
     return {"F": len(rows), "P": len(pipeline.map.polygons.polygons)}

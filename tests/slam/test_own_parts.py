@@ -30,7 +30,7 @@ from tests.slam.drives import scripted_drive
 PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
 OWN = {
     "association": {"method": "global_nearest"},
-    "filter": {"kind": "one_shot"},
+    "filter": {"kind": "plain_ekf"},
     "polygon": {"structure": "both"},
 }
 
@@ -60,8 +60,7 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
         env.step(np.array([0.5, 0.1]))
     pipeline = env._episode.pipeline
     assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
-    assert type(pipeline.filter) is RightInvariantEkf
-    assert pipeline.filter.update_iterations == 1  # the filter of the page; the default is 8
+    assert type(pipeline.filter) is own["plain_ekf"].PlainEkf
     assert len(env.slam_output.belief.ids) > 5
     state = env.get_state()
     other = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped
@@ -72,7 +71,7 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
 
 def test_they_pass_the_checks_of_the_page(own: dict[str, ModuleType]) -> None:
     assert check_associator(own["global_nearest"].GlobalNearest) > 0
-    check_filter(own["one_shot_filter"].one_shot)
+    check_filter(own["plain_ekf"].PlainEkf)
 
 
 class Boxed:
@@ -121,12 +120,12 @@ def test_batches_of_environments_know_them(own: dict[str, ModuleType]) -> None:
 
 def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
     rows = benchmark.methods()
-    assert list(rows)[-2:] == ["global_nearest", "mecp, filter one_shot"]
-    assert command.main(["association", "--with", "global_nearest", "one_shot_filter", "--sets", "two_rooms:1"]) == 0
+    assert list(rows)[-2:] == ["global_nearest", "mecp, filter plain_ekf"]
+    assert command.main(["association", "--with", "global_nearest", "plain_ekf", "--sets", "two_rooms:1"]) == 0
     said = capsys.readouterr().out
     assert "## two_rooms (1 seeds)" in said
     assert "| global_nearest |" in said
-    assert "| mecp, filter one_shot |" in said
+    assert "| mecp, filter plain_ekf |" in said
     assert "## paper" not in said
 
 

@@ -9,6 +9,7 @@ from mecp_env.slam.config import KINDS, FilterConfig
 from mecp_env.slam.filters.core import Ekf, RightInvariantEkf
 from mecp_env.slam.filters.first_estimates import FirstEstimateEkf
 from mecp_env.slam.filters.submap import SubmapEkf
+from mecp_env.slam.filters.window import Window, WindowFilter
 from mecp_env.slam.protocols import Filter, FilterError
 
 __all__ = [
@@ -19,6 +20,8 @@ __all__ = [
     "FirstEstimateEkf",
     "RightInvariantEkf",
     "SubmapEkf",
+    "Window",
+    "WindowFilter",
     "make_filter",
     "register_filter",
 ]

@@ -1,4 +1,4 @@
-"""The filters `riekf` and `ekf`: state, ids and slots, and the calls of the compiled functions."""
+"""The filters `riekf` and `ekf`: state, ids and slots, and what changes them."""
 
 from __future__ import annotations
 
@@ -9,27 +9,23 @@ from typing import Self
 import numpy as np
 
 from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.arrays import find_rows
-from mecp_env.core.linalg import block_of, mirror_lower
+from mecp_env.core.linalg import mirror_lower
 from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, log_bayes_factor, pairwise_nis
 from mecp_env.slam.filters.error_state import change_chart, propagate_invariant, propagate_plain
-from mecp_env.slam.filters.landmarks import append, take, world_belief
-from mecp_env.slam.filters.measurement import innovation
+from mecp_env.slam.filters.landmarks import append
 from mecp_env.slam.filters.motion import predict
 from mecp_env.slam.filters.update import batch_update, merge_pair
-from mecp_env.slam.messages import NO_ID, Belief
+from mecp_env.slam.filters.window import Window, WindowFilter, as_floats, belief_of, observations, slots_of
+from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
 
-FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
-NO_LANDMARKS = np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
 PINNED_SIGMA = 1e-6  # m and rad: a pose that is known exactly
 POSE_ORDER = np.array([2, 0, 1])  # heading, x, y of a pose x, y, heading
 
 
-class LandmarkFilter:
+class LandmarkFilter(WindowFilter):
     """Pose and point landmarks under one joint Gaussian. Internal order: heading, x, y, l1x, l1y, ...
 
     All state is plain: numbers and arrays. `state` (4+2C,3+2C) is preallocated for C landmarks: the mean in its first
@@ -76,15 +72,6 @@ class LandmarkFilter:
         """Numbers in the state: 3 + 2 N."""
         return 3 + 2 * self.count
 
-    @property
-    def ids(self) -> Ints:
-        """(N,) ids of the landmarks in the order of their initialisation; marks of past poses, below -1, left out."""
-        return self.slot_ids[self.slot_ids > NO_ID]
-
-    def has(self, landmark: int) -> bool:
-        """True when the filter holds a landmark with this id."""
-        return bool((self.slot_ids == landmark).any())
-
     def predict(self, odometry: Odometry) -> None:
         """Move the pose by the increments of one step; a bumper contact adds lateral and heading variance."""
         slip = 1.0 if odometry.bumper else 0.0
@@ -99,7 +86,7 @@ class LandmarkFilter:
             return
         steps = self.update_iterations if iterate else 1
         if not batch_update(self.state, self.slot_ids, ids, z, R, self.invariant, steps):
-            self._refuse_unknown(ids)
+            slots_of(self.slot_ids, ids)
             raise FilterError(f"update: covariance is not positive, or a number not finite ({len(ids)} measurements)")
 
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
@@ -120,53 +107,12 @@ class LandmarkFilter:
         append(self.state, self.size, z[:room], R, self.invariant)
         self.slot_ids = np.concatenate((self.slot_ids, ids[:room]))
 
-    def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
-        """nu (2n,) and S (2n,2n) of the pairs z[i] - ids[i]; z (n,2), R (2n,2n), ids (n,)."""
-        z, R, ids = observations(z, R, ids)
-        size = 2 * len(ids)
-        nu, S = np.empty(size), np.empty((size, size))
-        if not innovation(*self._part(ids), ids, z, R, self.invariant, nu, S):
-            self._refuse_unknown(ids)
-        return nu, S
+    def window(self, ids: Ints, apart: bool = False) -> Window:
+        """The whole state, which is not copied."""
+        return Window(self.state, self.slot_ids, self.invariant)
 
-    def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
-        """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
-        z, R, ids = as_floats(z), as_floats(R), integers(ids)
-        nis = np.empty((len(z), len(ids)))
-        if not pairwise_nis(*self._part(ids, apart=True), ids, z, R, self.invariant, nis):
-            self._refuse_unknown(ids)
-        return nis
-
-    def joint_nis(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> float:
-        """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
-        z, R, ids = observations(z, R, ids)
-        nis = joint_cost(*self._part(ids), ids, z, R, self.invariant, self.update_iterations if iterate else 1)
-        return self._finite(nis, "joint_nis", ids)
-
-    def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
-        """Twice the log of how much likelier the pairs are with a covariance (3,3) of x, y, heading more."""
-        z, R, ids = observations(z, R, ids)
-        factor = log_bayes_factor(*self._part(ids), ids, z, R, self.invariant, as_floats(pose_cov))
-        return self._finite(factor, "log_bayes_factor", ids)
-
-    def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
-        """NIS (2 degrees of freedom) of the centre of the points z (k,2) against the landmarks' (III-B.1, eq. 2-3).
-
-        Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
-        """
-        z, R, ids = observations(z, R, ids)
-        nis = centre_nis(*self._part(ids), ids, z, R, self.invariant, paper_S)
-        return self._finite(nis, "mean_of_gaussians_nis", ids)
-
-    def marginal(self, ids: Ints) -> tuple[Array, Array]:
-        """Mean (3+2m,) x, y, heading, landmarks and covariance (3+2m,3+2m), world coordinates."""
-        state, slot_ids = self._part(ids)
-        part = take(state, slots_of(slot_ids, ids))
-        size = part.shape[1]
-        change_chart(part, size, 1.0, self.invariant)
-        order = np.arange(size)
-        order[:3] = 1, 2, 0
-        return part[0, order], block_of(part[1:], order, order)
+    def belief(self) -> Belief:
+        return belief_of(Window(self.state, self.slot_ids, self.invariant))
 
     def fuse(self, keep: int, drop: int) -> None:
         """Merge two landmarks that are one corner: l_keep - l_drop = 0 within the prior's sigma, then `drop` goes."""
@@ -186,21 +132,6 @@ class LandmarkFilter:
         self.mean[first:end], cov[:first, first:end] = self.mean[moved], cov[:first, moved]
         cov[first:end, :first], cov[first:end, first:end] = cov[moved, :first], cov[np.ix_(moved, moved)]
         self.slot_ids = self.slot_ids[kept]
-
-    def belief(self) -> Belief:
-        """Pose and landmarks with their own covariances, in world coordinates, without marks of past poses; a copy."""
-        pose, pose_cov, count = np.empty(3), np.empty((3, 3)), self.count
-        p_map, covs = np.empty((count, 2)), np.empty((count, 2, 2))
-        if world_belief(self.state, self.slot_ids, self.invariant, pose, pose_cov, p_map, covs):
-            kept = self.slot_ids > NO_ID
-            return Belief(pose, pose_cov, self.slot_ids[kept], p_map[kept], covs[kept])
-        return Belief(pose, pose_cov, self.slot_ids.copy(), p_map, covs)
-
-    def pose(self) -> tuple[Array, Array]:
-        """The pose (3,) and its covariance (3,3), as in `belief`."""
-        pose, pose_cov = np.empty(3), np.empty((3, 3))
-        world_belief(self.state, NO_LANDMARKS[0], self.invariant, pose, pose_cov, *NO_LANDMARKS[1:])
-        return pose, pose_cov
 
     def copy(self) -> Self:
         """An independent filter with the same state; later changes of one do not touch the other."""
@@ -245,25 +176,8 @@ class LandmarkFilter:
             cov[:size, 1:3] += np.outer(cov[:size, 0], by_heading)
             mirror_lower(cov, size)
 
-    def _part(self, ids: Ints, apart: bool = False) -> tuple[Array, Ints]:
-        """A state with the pose and at least the landmarks `ids` (m,), and the ids in its slots.
-
-        `apart`: the covariance of one landmark with another may be missing.
-        """
-        return self.state, self.slot_ids
-
     def _slots(self, ids: Ints) -> Ints:
         return slots_of(self.slot_ids, ids)
-
-    def _refuse_unknown(self, ids: Ints) -> None:
-        """Raise `FilterError` when one of the ids is unknown to this filter."""
-        self._slots(ids)
-
-    def _finite(self, nis: float, name: str, ids: Ints) -> float:
-        if math.isnan(nis):
-            self._refuse_unknown(ids)
-            raise FilterError(f"{name}: innovation covariance is not positive")
-        return nis
 
     def _reserve(self, landmark_count: int) -> None:
         """Make room for so many landmarks; it grows by doubling."""
@@ -299,30 +213,3 @@ class Ekf(LandmarkFilter):
     """
 
     invariant = False
-
-
-def slots_of(slot_ids: Ints, ids: Ints) -> Ints:
-    """(m,) the slot of each of the `ids` (m,). Raises `FilterError` for an unknown one."""
-    ids = integers(ids)
-    slots = np.empty(len(ids), np.int64)
-    if not find_rows(slot_ids, ids, slots):
-        raise FilterError(f"ids {ids[slots < 0].tolist()} are no landmarks of this filter")
-    return slots
-
-
-def as_floats(values: Array) -> Array:
-    """An array as the compiled functions take it."""
-    return contiguous(values, FLOAT)
-
-
-def integers(values: Ints) -> Ints:
-    """An array as the compiled functions take it."""
-    return contiguous(values, INT)
-
-
-def observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
-    """The same as the compiled functions take them. Raises `FilterError` for shapes that do not fit."""
-    z, R, ids, n = contiguous(z, FLOAT), contiguous(R, FLOAT), contiguous(ids, INT), len(ids)
-    if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
-        raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
-    return z, R, ids

@@ -19,11 +19,12 @@ from mecp_env.core.messages import Odometry
 from mecp_env.core.trajectories import wrapped
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.compatibility import FAR, centre_nis
-from mecp_env.slam.filters.core import Ekf, as_floats, observations
+from mecp_env.slam.filters.core import Ekf
 from mecp_env.slam.filters.error_state import change_chart, linearise, propagate_plain, retract
 from mecp_env.slam.filters.landmarks import take
 from mecp_env.slam.filters.measurement import innovation_cov, project, residual
 from mecp_env.slam.filters.update import CONVERGED, apply_update, state_increment
+from mecp_env.slam.filters.window import as_floats, finite, observations
 from mecp_env.slam.protocols import FilterError
 
 NO_NOISE = np.zeros((3, 3))
@@ -90,7 +91,7 @@ class FirstEstimateEkf(Ekf):
             return super().joint_nis(z, R, ids, iterate)
         z, R, ids = observations(z, R, ids)
         cost, _, _ = solved(self.state, self.first, self._slots(ids), z, R, 1)
-        return self._finite(cost, "joint_nis", ids)
+        return finite(cost, "joint_nis", self.window(ids), ids)
 
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
         nu, S = self.innovation(z, R, ids)
@@ -110,7 +111,8 @@ class FirstEstimateEkf(Ekf):
             part[0, :3], part[0, 3:] = self.first[:3], self.first[3:].reshape(-1, 2)[self._slots(ids)].ravel()
             change_chart(part, len(mean), -1.0, True)
             part[0] = mean
-        return self._finite(centre_nis(part, ids, ids, z, R, not paper_S, paper_S), "mean_of_gaussians_nis", ids)
+        nis = centre_nis(part, ids, ids, z, R, not paper_S, paper_S)
+        return finite(nis, "mean_of_gaussians_nis", self.window(ids), ids)
 
     def fuse(self, keep: int, drop: int) -> None:
         """Merge two landmarks that are one corner.

@@ -23,10 +23,13 @@ from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.linalg import block_of, changed_part, low_rank, own_blocks, product_of
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters.core import RightInvariantEkf, integers, slots_of
+from mecp_env.slam.filters.core import RightInvariantEkf
 from mecp_env.slam.filters.resting import ROUNDING, Rest, factored, numbers_of, rows_of
 from mecp_env.slam.filters.update import FIRST_PROBE
+from mecp_env.slam.filters.window import Window, belief_of, integers, slots_of
 from mecp_env.slam.messages import NO_ID, Belief
+
+NO_IDS = np.empty(0, np.int64)
 
 
 class Expanded(NamedTuple):
@@ -94,9 +97,9 @@ class SubmapEkf(RightInvariantEkf):
         ids = integers(ids)
         if self.rest is None or not len(z):
             return super().individual_nis(z, R, ids)
-        nis, (T_map_robot, pose_cov) = np.full((len(z), len(ids)), math.inf), self.pose()
-        variance = np.trace(pose_cov[:2, :2]) + R[:, 0, 0] + z[:, 0] ** 2 * (pose_cov[2, 2] + R[:, 1, 1])
-        near = self.rest.near(to_map(T_map_robot, polar_to_points(z)), variance)
+        nis, pose = np.full((len(z), len(ids)), math.inf), belief_of(Window(self.state, NO_IDS, self.invariant))
+        variance = np.trace(pose.pose_cov[:2, :2]) + R[:, 0, 0] + z[:, 0] ** 2 * (pose.pose_cov[2, 2] + R[:, 1, 1])
+        near = self.rest.near(to_map(pose.T_map_robot, polar_to_points(z)), variance)
         if len(self._at_work()) + len(near) <= self.most:
             self._wake(near)  # the next scans ask for them again
             near = near[:0]
@@ -147,14 +150,15 @@ class SubmapEkf(RightInvariantEkf):
         state[0, numbers], cov[np.ix_(numbers, numbers)] = self.mean[own], block_of(self.cov, own, own)
         self.state, self.slot_ids, self.divided = state, ids, ()
 
-    def _part(self, ids: Ints, apart: bool = False) -> tuple[Array, Ints]:
+    def window(self, ids: Ints, apart: bool = False) -> Window:
         if not self.divided or self._is_at_work(integers(ids)):
-            return self.state, self.slot_ids
+            return super().window(ids)
         ids = integers(ids)
         slots = rows_of(self.slot_ids, ids)
         own = np.concatenate((np.arange(3), numbers_of(slots[slots >= 0])))
         rows = self._rows_of_rest(ids[slots < 0])
-        return self._joined(own, rows, apart), np.concatenate((ids[slots >= 0], ids[slots < 0]))
+        state = self._joined(own, rows, apart)
+        return Window(state, np.concatenate((ids[slots >= 0], ids[slots < 0])), self.invariant)
 
     def _bring_to_work(self, ids: Ints) -> None:
         """Make sure that landmarks are in the submap, which is a new one where there is none or it grew too large."""
