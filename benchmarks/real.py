@@ -10,6 +10,7 @@ noise, five seeds; `intel_raw`, `csail_raw`: raw odometry, calibrated as `mecp-e
 reads no reference path. Relations are the mean errors of relative poses measured by hand (Kuemmerle et al. 2009), with
 poses interpolated to their times; `at_scans` are those that need no interpolation; times are those of one core. `final`
 are the figures of the path that is smoothed over all scans after the run, and `final_s` the seconds of the smoothing.
+`karto` is OpenKarto with its own settings on the same scans (benchmarks/karto.py; extra `lab`), without a calibration.
 `view_180_deg`: drives on `paper` with the true pose as the driver, cut to 180 degrees as in `noise`, and an estimator
 that knows it. `urg04lx`: explorations with that laser.
 """

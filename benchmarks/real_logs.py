@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import karto
 from benchmarks.common import Figures, estimate
 from benchmarks.real_maps import MapData
 from mecp_env.core.trajectories import composed
@@ -39,6 +40,8 @@ COLUMNS = (
     *("final_relations_m", "final_relations_deg", "final_relations_at_scans_m", "final_relations_at_scans_deg"),
     *("final_ate_m", "final_ate_deg", "final_converged", "final_steps", "final_s"),
 )
+ERRORS = ("relations_m", "relations_deg", "relations_at_scans_m", "relations_at_scans_deg", "ate_m", "ate_deg")
+RIVAL = tuple(f"karto_{name}" for name in (*ERRORS, *(f"final_{name}" for name in ERRORS), "ms_per_scan_mean", "loops"))
 
 
 def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tuple[Figures, MapData]:
@@ -47,7 +50,17 @@ def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tup
     calibration = calibrate_log(log, config_for(log), {}, {}) if given.calibrated else None
     options = given.run.model_copy(update={"seed": seed, "scans": scans})
     run = run_log(log, run=options, calibration=calibration)
-    return run.metrics(), map_of(run)
+    return run.metrics() | rival_of(run), map_of(run)
+
+
+def rival_of(run: LogRun) -> Figures:
+    """Figures of OpenKarto on the same scans and odometry; nothing where it is not installed."""
+    if not karto.installed():
+        return {}
+    rows = np.searchsorted(run.log.t, run.t)
+    raw = run.log.T_odom_robot  # without it, odometry was made of the reference path
+    odometry = run.T_odom_robot if raw is None else raw[rows]
+    return karto.figures(run.log, rows, karto.run(run.log, rows, odometry))
 
 
 def map_of(run: LogRun) -> MapData:
@@ -67,7 +80,7 @@ def summarise(runs: list[dict[str, Any]]) -> Figures:
 
     Those of a run that ended early are of the part of the log before; a figure without anything to measure is missing.
     """
-    found = {name: [run[name] for run in runs] for name in COLUMNS if np.isfinite(runs[0].get(name, np.nan))}
+    found = {name: [run[name] for run in runs] for name in (*COLUMNS, *RIVAL) if np.isfinite(runs[0].get(name, np.nan))}
     figures = {name: estimate(values) if len(runs) > 1 else values[0] for name, values in found.items()}
     ends = sorted({str(run["ended"]) for run in runs})
     return {**figures, "runs": len(runs), "scans": runs[0]["scans"], "ended": ", ".join(ends)}

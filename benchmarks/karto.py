@@ -1,0 +1,92 @@
+"""OpenKarto as a rival of `real`: scan matching in a correlation grid, a graph of poses, and its sparse optimum.
+
+The package `yag_slam` (extra `lab`) has Karto's scan matcher and loop search, and the solver of K. Konolige, G.
+Grisetti, R. Kuemmerle, W. Burgard, B. Limketkai and R. Vincent, "Efficient sparse pose adjustment for 2D mapping", IROS
+2010. It runs with its own settings, on the scans that the estimator used, with the odometry as the log has it.
+"""
+
+from __future__ import annotations
+
+import importlib.util
+import math
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from benchmarks.common import Figures
+from mecp_env.core.array_types import Array, Ints
+from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
+from mecp_env.logs.log import Log
+
+PACKAGE = "yag_slam"
+RANGE_SHARE = 0.9  # of the laser's range, up to which the package trusts a beam where it reads logs itself
+LEAST_RANGE_M = 0.05
+
+
+class KartoRun(NamedTuple):
+    """The paths of a run, and what it cost."""
+
+    online: Array  # (n,3) m, rad: the pose of each scan when it was processed
+    final: Array  # (n,3) m, rad: after the last optimum of the graph
+    ms_per_scan: float  # mean processor time
+    loops: int  # that were closed
+
+
+def installed() -> bool:
+    """True when the package is there."""
+    return importlib.util.find_spec(PACKAGE) is not None
+
+
+def run(log: Log, rows: Ints, T_odom_robot: Array) -> KartoRun:
+    """OpenKarto on the scans `rows` (n,) of a log, whose laser is at the robot's centre, with odometry (n,3)."""
+    from yag_slam.graph_slam import GraphSlam
+    from yag_slam.scan_matching import Scan2DMatcherCpp
+
+    slam, online, loops = GraphSlam(Scan2DMatcherCpp({}), Scan2DMatcherCpp({}, loop=True)), [], 0
+    start = time.thread_time()
+    for row, T_odom in zip(rows.tolist(), T_odom_robot.tolist(), strict=True):
+        scan = _scan(log, row, T_odom)
+        _, closed = slam.process_scan(scan)
+        online.append(_pose(scan.corrected_pose))
+        loops += bool(closed)
+    slam.run_opt()
+    spent = time.thread_time() - start
+    final = [_pose(vertex.obj.corrected_pose) for vertex in slam.graph.vertices]
+    return KartoRun(np.array(online), np.array(final), 1e3 * spent / len(rows), loops)
+
+
+def figures(log: Log, rows: Ints, found: KartoRun) -> Figures:
+    """The errors of both paths by the names that `real` has for those of the estimator."""
+    online, final = (_errors(log, rows, T_map_robot) for T_map_robot in (found.online, found.final))
+    scored = online | {f"final_{name}": value for name, value in final.items()}
+    scored |= {"ms_per_scan_mean": found.ms_per_scan, "loops": found.loops}
+    return {f"karto_{name}": value for name, value in scored.items()}
+
+
+def _errors(log: Log, rows: Ints, T_map_robot: Array) -> Figures:
+    """Errors of poses (n,3) against the reference path, and those of the relations."""
+    found: Figures = {}
+    if log.T_ref_robot is not None:
+        error = trajectory_error(T_map_robot, log.T_ref_robot[rows])
+        found |= {"ate_m": error.rmse_m, "ate_deg": math.degrees(error.rmse_rad)}
+    both = {"relations": log.relations, "relations_at_scans": coincident(log.t, log.relations)}
+    for name, relations in both.items():
+        if len(relations):
+            of = relation_error(log.t[rows], T_map_robot, relations)
+            found |= {f"{name}_m": of.mean_m, f"{name}_deg": math.degrees(of.mean_rad)}
+    return found
+
+
+def _scan(log: Log, row: int, T_odom_robot: list[float]) -> Any:
+    """A sweep of a log as the package takes it; a beam without a return lies beyond what it trusts."""
+    from yag_slam.models import LocalizedRangeScan
+
+    ranges = np.nan_to_num(log.ranges[row], nan=log.max_range_m + 1.0).tolist()
+    view = float(log.bearings[0]), float(log.bearings[-1]), log.step_rad
+    limits = LEAST_RANGE_M, log.max_range_m, RANGE_SHARE * log.max_range_m
+    return LocalizedRangeScan(ranges, *view, *limits, *T_odom_robot)
+
+
+def _pose(transform: Any) -> tuple[float, float, float]:
+    return transform.x, transform.y, transform.euler[-1]
