@@ -29,8 +29,8 @@ try:
     from mecp_env.learning.encoder import ObservationEncoder
     from mecp_env.learning.environments import OptionReward, vectorise
     from mecp_env.learning.files import tensor_bytes, weights_of
+    from mecp_env.learning.option_buffer import OptionBuffer
     from mecp_env.learning.pointer import GoalPointerPolicy
-    from mecp_env.learning.rollouts import OptionBuffer
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
 

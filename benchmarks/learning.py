@@ -2,8 +2,7 @@
 
 In each round a single environment of the training is driven with random actions for a few seconds, then a training of
 some updates is started, whose first update is not counted; a ratio is taken within a round, so that other load affects
-both. `waiting` is the share of the time in which the learner waits for the environments. With `overlap` the policy is
-updated while the next rollout is collected.
+both. `waiting` is the share of the time in which the learner waits for the environments.
 """
 
 from __future__ import annotations
@@ -19,9 +18,6 @@ import numpy as np
 from benchmarks.common import Figures, Gate, Options, estimate, table
 
 ALGORITHMS = ("maskable_ppo", "ppo")
-KINDS = {name: (name, {}) for name in ALGORITHMS} | {
-    f"{name}, overlap": (name, {"overlap": True}) for name in ALGORITHMS
-}
 RATE, WAITING = "periods_per_s", "waiting_share"
 
 GATES = tuple(Gate(f"{algorithm}/over_single", "share", 0.25) for algorithm in ALGORITHMS)
@@ -30,14 +26,14 @@ GATES = tuple(Gate(f"{algorithm}/over_single", "share", 0.25) for algorithm in A
 def run(options: Options) -> Figures:
     """All results; 6 rounds of 5 s and 4 updates (--quick: 2 of 1 s and 2 updates)."""
     rounds, seconds, updates = (2, 1.0, 2) if options.quick else (6, 5.0, 4)
-    return {kind: compare(name, rounds, seconds, updates, **fields) for kind, (name, fields) in KINDS.items()}
+    return {name: compare(name, rounds, seconds, updates) for name in ALGORITHMS}
 
 
-def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:
-    """Speed of an algorithm over the rounds; `fields` of the configuration."""
-    single = Single(algorithm, fields)
+def compare(algorithm: str, rounds: int, seconds: float, updates: int) -> Figures:
+    """Speed of an algorithm over the rounds."""
+    single = Single(algorithm)
     single.measure(seconds)  # loads compiled functions and fills caches
-    measured = [(single.measure(seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
+    measured = [(single.measure(seconds), *train(algorithm, updates)) for _ in range(rounds)]
     alone, rates, waiting = (np.array(column) for column in zip(*measured, strict=True))
     return {
         "steps_per_s": estimate(rates),
@@ -47,35 +43,35 @@ def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields:
     }
 
 
-def train(algorithm: str, updates: int, fields: dict[str, Any]) -> tuple[float, float]:
+def train(algorithm: str, updates: int) -> tuple[float, float]:
     """Control steps per second and share of waiting of a training, means of its updates but the first."""
     from mecp_env.learning.train import train as run_training
 
     with tempfile.TemporaryDirectory() as folder:
-        run_training(configuration(algorithm, fields, updates), Path(folder) / "run")
+        run_training(configuration(algorithm, updates), Path(folder) / "run")
         with (Path(folder) / "run" / "progress.csv").open() as lines:
             rows = list(csv.DictReader(lines))[1:updates]
     rate, waiting = (float(np.mean([float(row[name]) for row in rows])) for name in (RATE, WAITING))
     return rate, waiting
 
 
-def configuration(algorithm: str, fields: dict[str, Any], updates: int = 1) -> Any:
+def configuration(algorithm: str, updates: int = 1) -> Any:
     """Default settings, without evaluations and checkpoints."""
     from mecp_env.learning.config import TrainConfig
 
     log = {"evaluate_buildings": 0, "tensorboard": False, "checkpoint_s": 86_400.0}
-    config = TrainConfig.build({"algorithm": algorithm, "log": log} | fields)
+    config = TrainConfig.build({"algorithm": algorithm, "log": log})
     return config.model_copy(update={"steps": config.ppo.steps * config.environments * updates})
 
 
 class Single:
     """An environment of a training, driven with random actions."""
 
-    def __init__(self, algorithm: str, fields: dict[str, Any]) -> None:
+    def __init__(self, algorithm: str) -> None:
         from mecp_env.learning.environments import make_env
 
         self.goals = algorithm == "maskable_ppo"
-        self.env, self.rng = make_env(configuration(algorithm, fields)), np.random.default_rng(0)
+        self.env, self.rng = make_env(configuration(algorithm)), np.random.default_rng(0)
         self.observation = self.env.reset(seed=0)[0]
 
     def measure(self, seconds: float) -> float:

@@ -19,7 +19,7 @@ from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from mecp_env.learning import files
 from mecp_env.learning.checkpoints import TrainingState
 from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_validation_env, vectorise
-from mecp_env.learning.rollouts import OptionBuffer, bootstrap_truncated
+from mecp_env.learning.option_buffer import OptionBuffer, bootstrap_truncated
 from mecp_env.learning.run_folder import RunFolder
 from mecp_env.learning.run_log import CLOCK, RunLog
 
@@ -27,10 +27,7 @@ MOST_WORKERS = 8
 
 
 class OptionCallback(BaseCallback):
-    """Passes the discount of every option to the `OptionBuffer`, and adds the value after a step limit.
-
-    For the algorithms of Stable-Baselines3 as they are; those of `rollouts` do both themselves.
-    """
+    """Passes the discount of every option to the `OptionBuffer`, and adds the value after a step limit."""
 
     model: OnPolicyAlgorithm
 
@@ -87,6 +84,7 @@ class StatisticsCallback(BaseCallback):
         waited_s, periods = self.timed.waited_s - self.before[0], self.timed.periods - self.before[1]
         self._start_clock()
         self.state.seconds += seconds
+        self.state.updates += 1
         speed = {"periods_per_s": periods / seconds, "waiting_share": waited_s / seconds}
         for name, value in (self.clock() | speed).items():
             self.logger.record(f"time/{name}", value)
@@ -118,7 +116,6 @@ class SafeCheckpointCallback(BaseCallback):
     def save(self) -> None:
         """Write a checkpoint. Raises `NotFiniteError`."""
         state, returns = self.statistics.state, self.venv.ret_rms
-        state.updates = self.model._n_updates
         state.return_mean, state.return_var = float(returns.mean), float(returns.var)
         state.return_count = float(returns.count)
         with self.statistics.paused():

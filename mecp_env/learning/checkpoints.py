@@ -32,7 +32,7 @@ class TrainingState(BaseModel):
     decisions: int = 0
     periods: int = 0  # control steps
     episodes: int = 0
-    updates: int = 0
+    updates: int = 0  # rollouts that the policy learned from
     seconds: float = 0.0  # of training, over all resumptions
     best_score: float = -1.0  # the largest area under the curve on the validation split
     next_evaluation: int = 0  # in decisions
@@ -131,7 +131,7 @@ def restore(model: OnPolicyAlgorithm, parts: Parts, path: Path) -> TrainingState
         np.random.set_state(("MT19937", keys, position, 0, 0.0))  # noqa: NPY002
     except (LookupError, ValueError, TypeError, AttributeError, RuntimeError) as error:
         raise WeightError(f"{path}: not a checkpoint of this version: {' '.join(str(error).split()):.300}") from None
-    model.num_timesteps, model._n_updates = state.decisions, state.updates
+    model.num_timesteps = state.decisions
     return state
 
 

@@ -128,15 +128,13 @@ class LogConfig(Settings):
 class TrainConfig(Settings):
     """The complete configuration of a training run."""
 
-    GONE: ClassVar = frozenset({"threads"})
+    GONE: ClassVar = frozenset({"threads", "groups", "overlap"})
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
     task: str = ""  # of active SLAM, as ActiveHalls-v0: its buildings, robot, observation and reward, if not overridden
     steps: int = Field(100_000, ge=1, le=10**10)  # decisions (ppo, recurrent_ppo: control steps), of all together
     seed: int = Field(0, ge=0, lt=2**31)
     environments: int = Field(16, ge=1, le=1024)
-    groups: int = Field(2, ge=1, le=1024)  # of environments; while the policy acts for one, the others drive
-    overlap: bool = False  # update the policy while it collects the next rollout, as it was before
     workers: Literal["batch", "processes", "here"] = "batch"  # few processes; one per environment; none
     buildings: BuildingsConfig = BuildingsConfig()
     env: Environment = Environment()
@@ -160,7 +158,6 @@ class TrainConfig(Settings):
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
         check_prior(config)
-        check_overlap(config)
         check_observation(config)
         return config
 
@@ -240,12 +237,6 @@ def check_prior(config: TrainConfig) -> None:
         return
     why = "network.uncertainty hides" if visible else "only a `task` shows"
     raise ConfigError(f"network.prior: {prior} reads predictions, which {why}; expected one of gain, nearest, none")
-
-
-def check_overlap(config: TrainConfig) -> None:
-    """Raise `ConfigError` for an overlap that the algorithm does not have."""
-    if config.overlap and config.algorithm == "recurrent_ppo":
-        raise ConfigError("overlap: recurrent_ppo has none, expected false")
 
 
 def check_observation(config: TrainConfig) -> None:

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import math
 import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
-import numpy as np
 from gymnasium.vector import AutoresetMode
-from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
@@ -180,48 +177,9 @@ class TimedVecEnv(VecEnvWrapper):
     def step_wait(self) -> VecEnvStepReturn:  # `step_async` only keeps the actions
         start = time.perf_counter()
         observations, rewards, dones, infos = self.venv.step_wait()
-        self._add(start, infos)
-        return observations, rewards, dones, infos
-
-    def recv(self, groups: Sequence[NDArray[np.intp]]) -> tuple[int, VecEnvStepReturn]:
-        """As of the wrapped environments."""
-        start = time.perf_counter()
-        group, step = self.venv.recv(groups)
-        self._add(start, step[3])
-        return group, step
-
-    def _add(self, start: float, infos: list[dict[str, Any]]) -> None:
         self.waited_s += time.perf_counter() - start
         self.periods += sum(info["periods"] for info in infos)
-
-
-class HereVecEnv(DummyVecEnv):
-    """Environments in this process, one after another, with `send` and `recv` as of `SB3Batch`."""
-
-    def __init__(self, makers: Sequence[Callable[[], Env]]) -> None:
-        super().__init__(list(makers))
-        self.sent = deque[tuple[NDArray[Any], NDArray[np.intp]]]()
-
-    def send(self, actions: NDArray[Any], envs: NDArray[np.intp]) -> None:
-        """Keep the actions of some environments for `recv`."""
-        self.sent.append((actions, envs))
-
-    def recv(self, groups: Sequence[NDArray[np.intp]]) -> tuple[int, VecEnvStepReturn]:
-        """The group that was sent first: its place in `groups`, and its rows as from `step_wait`."""
-        actions, envs = self.sent.popleft()
-        rows = [self._step(int(env), action) for env, action in zip(envs, actions, strict=True)]
-        observations, rewards, dones, infos = zip(*rows, strict=True)
-        stacked = {name: np.stack([seen[name] for seen in observations]) for name in observations[0]}
-        place = next(place for place, group in enumerate(groups) if np.array_equal(group, envs))
-        return place, (stacked, np.array(rewards, np.float32), np.array(dones), list(infos))
-
-    def _step(self, env: int, action: Any) -> tuple[Any, float, bool, dict[str, Any]]:
-        seen, reward, terminated, truncated, info = self.envs[env].step(action)
-        info["TimeLimit.truncated"] = truncated and not terminated
-        if terminated or truncated:
-            info["terminal_observation"] = seen
-            seen, self.reset_infos[env] = self.envs[env].reset()
-        return seen, float(reward), terminated or truncated, info
+        return observations, rewards, dones, infos
 
 
 def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:
@@ -238,7 +196,7 @@ def vectorise(makers: Sequence[Callable[[], Env]], workers: str = "batch", compu
     `computing`: this process computes while a batch steps, so that it should step no environment itself.
     """
     if workers == "here":
-        return HereVecEnv(makers)
+        return DummyVecEnv(list(makers))
     few = cores() if computing else None
     count = len(makers) if workers == "processes" else few
     return SB3Batch(BatchEnv(makers, workers=count, autoreset_mode=AutoresetMode.SAME_STEP))

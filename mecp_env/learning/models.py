@@ -7,7 +7,8 @@ from typing import Any
 import numpy as np
 import torch
 from gymnasium import spaces
-from sb3_contrib import RecurrentPPO
+from sb3_contrib import MaskablePPO, RecurrentPPO
+from stable_baselines3 import PPO
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.policies import BasePolicy
 from stable_baselines3.common.vec_env import VecEnv
@@ -19,12 +20,12 @@ from mecp_env.learning import files
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import downsampled_space
 from mecp_env.learning.encoder import ObservationEncoder
+from mecp_env.learning.option_buffer import OptionBuffer
 from mecp_env.learning.pointer import GoalPointerPolicy
-from mecp_env.learning.rollouts import GroupedMaskablePPO, GroupedPPO, OptionBuffer
 
 CLASSES: dict[str, type[OnPolicyAlgorithm]] = {
-    "ppo": GroupedPPO,
-    "maskable_ppo": GroupedMaskablePPO,
+    "ppo": PPO,
+    "maskable_ppo": MaskablePPO,
     "recurrent_ppo": RecurrentPPO,
 }
 FIRST_LOG_STD = -0.7  # of velocities: half of the largest
@@ -51,7 +52,7 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
     ppo = config.ppo
     policy, keywords = policy_arguments(config)
     buffer = {"rollout_buffer_class": OptionBuffer} if config.algorithm == "maskable_ppo" else {}
-    model = CLASSES[config.algorithm](
+    return CLASSES[config.algorithm](
         policy,
         venv,
         learning_rate=(lambda left: ppo.learning_rate * max(0.0, left)) if ppo.anneal else ppo.learning_rate,
@@ -70,8 +71,6 @@ def make_model(config: TrainConfig, venv: VecEnv, seed: int) -> OnPolicyAlgorith
         device="cpu",
         **buffer,
     )
-    model.groups, model.overlap = config.groups, config.overlap
-    return model
 
 
 def make_network(config: TrainConfig) -> BasePolicy:

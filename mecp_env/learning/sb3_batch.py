@@ -5,7 +5,7 @@ The same environments, seeds and autoreset as SubprocVecEnv; goal masks for Mask
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from operator import methodcaller
 from typing import Any
@@ -65,27 +65,13 @@ class SB3Batch(VecEnv):
 
     def step_wait(self) -> Any:
         """Observations, rewards (N,) float32, dones (N,), infos."""
-        return self._results(range(self.num_envs), self._listed.step(self._actions))
-
-    def send(self, actions: NDArray[Any], envs: NDArray[np.intp]) -> None:
-        """Have the workers begin a step in some environments; `recv` waits for it."""
-        self.batch.send(actions, envs)
-
-    def recv(self, groups: Sequence[NDArray[np.intp]]) -> tuple[int, Any]:
-        """The first group of environments that is finished: its place in `groups`, and its rows as from `step_wait`."""
-        place, results = self.batch.recv_group([group.tolist() for group in groups])
-        return place, self._results(groups[place], results)
-
-    def _results(self, envs: Iterable[int], step: Any) -> Any:
-        """A step of some environments as Stable-Baselines3 takes it."""
-        observations, reward, terminated, truncated, listed = step
+        observations, reward, terminated, truncated, listed = self._listed.step(self._actions)
         dones, infos = terminated | truncated, [_plain(info) for info in listed]
-        for row, env in enumerate(envs):
-            cut = bool(truncated[row] and not terminated[row])
-            if dones[row]:
-                last, final = infos[row].pop("final_obs"), _plain(infos[row].pop("final_info"))
-                self.reset_infos[env], infos[row] = infos[row], final | {"terminal_observation": last}
-            infos[row]["TimeLimit.truncated"] = cut and not infos[row].get("diverged", False)
+        for env in np.flatnonzero(dones).tolist():
+            last, final = infos[env].pop("final_obs"), _plain(infos[env].pop("final_info"))
+            self.reset_infos[env], infos[env] = infos[env], final | {"terminal_observation": last}
+        for info, cut in zip(infos, truncated & ~terminated, strict=True):
+            info["TimeLimit.truncated"] = bool(cut) and not info.get("diverged", False)
         return observations, reward.astype(np.float32), dones, infos
 
     def close(self) -> None:

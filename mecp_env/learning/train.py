@@ -14,7 +14,7 @@ from stable_baselines3.common.vec_env import VecNormalize
 
 from mecp_env.core import heap
 from mecp_env.learning import models
-from mecp_env.learning.callbacks import EvaluationCallback, SafeCheckpointCallback, StatisticsCallback
+from mecp_env.learning.callbacks import EvaluationCallback, OptionCallback, SafeCheckpointCallback, StatisticsCallback
 from mecp_env.learning.checkpoints import TrainingState
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.curves import draw_training
@@ -97,7 +97,7 @@ class TrainingRun:
             self.log.echo("nothing is saved yet: an interrupted warm start starts again")
             return False
         saving = SafeCheckpointCallback(self.folder, self.venv, self.statistics)
-        callbacks = [self.statistics, self.evaluation, saving]
+        callbacks = [OptionCallback(), self.statistics, self.evaluation, saving]
         left = max(0, self.config.steps - self.state.decisions)
         self.model.learn(left, callback=callbacks, reset_num_timesteps=False)
         return not self.statistics.stop

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,13 +20,12 @@ from mecp_env.vector.checks import (
     check_seeds,
 )
 from mecp_env.vector.hosted import HostedEnvs
-from mecp_env.vector.infos import batched_infos, single_infos
+from mecp_env.vector.infos import batched_infos
 from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, copied
 from mecp_env.vector.worker import Info, Infos, Makers
 
 Bools = NDArray[np.bool_]
 Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
-GroupStep = tuple[Any, NDArray[np.float64], Bools, Bools, list[Info]]
 
 
 class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct base of that name
@@ -143,19 +141,6 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
         envs, records, rest = self._landed(landed)
         infos = batched_infos(records, np.ones(len(envs), np.bool_), rest, self._add_info)
         return *self._results(envs, records), infos | {"env_id": envs}
-
-    def recv_group(self, groups: Sequence[Sequence[int]]) -> tuple[int, GroupStep]:
-        """The first of some groups of environments that is finished as a whole: its place in `groups`, and its step.
-
-        Rows are in the order of the group, and infos are a list of one plain dict per environment. Exceptions as from
-        `recv`; `NoAsyncCallError` where no group is under way as a whole.
-        """
-        self._assert_open("recv_group")
-        self._flights.check_sent(groups)
-        with self._closed_by(Exception):
-            place, landed = self._flights.take_group(groups)
-        envs, records, rest = self._landed(landed)
-        return place, (*self._results(envs, records), single_infos(records, rest))
 
     def action_masks(self, env_ids: Any = None) -> Bools:
         """(n,32) which rows of each observation hold a goal, of `env_ids` or all environments; no worker is asked.

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from gymnasium.error import AlreadyPendingCallError, NoAsyncCallError
+from gymnasium.error import AlreadyPendingCallError
 
 from mecp_env.core.processes import Failure
 from mecp_env.core.worker_pool import WorkerPool
@@ -48,21 +48,6 @@ class Flights:
         while len(self._landed) < count:
             self._wait()
         return self._pop(sorted(list(self._landed)[:count]))
-
-    def take_group(self, groups: Sequence[Sequence[int]]) -> tuple[int, dict[int, Info | Failure]]:
-        """The first group that is finished as a whole: its place in `groups`, and its environments as from `take`.
-
-        One of them must be under way as a whole. Raises `WorkerDied`.
-        """
-        while not (finished := [place for place, group in enumerate(groups) if self._landed.keys() >= set(group)]):
-            self._wait()
-        return finished[0], self._pop(groups[finished[0]])
-
-    def check_sent(self, groups: Sequence[Sequence[int]]) -> None:
-        """Raise `NoAsyncCallError` where none of the groups is under way as a whole."""
-        under_way = self._flying | self._landed.keys()
-        if not any(under_way.issuperset(group) for group in groups):
-            raise NoAsyncCallError("recv_group() of groups of which none is under way as a whole", "recv_group")
 
     def _pop(self, envs: Sequence[int]) -> dict[int, Info | Failure]:
         failed = [env for env in envs if isinstance(self._landed[env], Failure)]

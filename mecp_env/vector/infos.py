@@ -27,13 +27,6 @@ def batched_infos(records: NDArray[Any], chosen: NDArray[np.bool_], rest: Infos,
     return _first_rows(infos, len(records)) if others else infos
 
 
-def single_infos(records: NDArray[Any], rest: Infos) -> list[Info]:
-    """The info of each environment alone; records and rest as in `batched_infos`."""
-    names = [(name, INFO + name) for name in info_names(records.dtype)]
-    listed = [{name: record[field] for name, field in names} if record["listed"] else {} for record in records]
-    return [info | rest.get(row, {}) for row, info in enumerate(listed)]
-
-
 def _first_rows(infos: Info, count: int) -> Info:
     return {name: _first_rows(part, count) if isinstance(part, dict) else part[:count] for name, part in infos.items()}
 

@@ -24,7 +24,7 @@ from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import check_size, make_model  # noqa: E402
-from mecp_env.learning.rollouts import OptionBuffer  # noqa: E402
+from mecp_env.learning.option_buffer import OptionBuffer  # noqa: E402
 from mecp_env.learning.run_log import RunLog  # noqa: E402
 from mecp_env.learning.warm_start import warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402

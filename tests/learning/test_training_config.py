@@ -142,7 +142,6 @@ def test_each_algorithm_has_defaults_of_its_own_and_is_paid_the_metric():
         ({"stepps": 3}, "did you mean 'steps'"),
         ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
         ({"env": {"laser": {"beams": "90"}}}, r"TrainConfig\.env\.laser\.beams: Input should be a number"),
-        ({"algorithm": "recurrent_ppo", "overlap": True}, "overlap: recurrent_ppo has none"),
         ({"algorithm": "dqn"}, "not one of ppo, maskable_ppo, recurrent_ppo"),
         ({"algorithm": "maskable_pp"}, "not one of ppo, .*did you mean 'maskable_ppo'"),
         ({"ppo": {"clip": float("nan")}}, "finite"),

@@ -243,44 +243,6 @@ def test_masks_of_those_that_were_received() -> None:
     venv.close()
 
 
-def test_a_group_is_received_as_a_whole_and_in_its_order() -> None:
-    venv, other = make_small(wrappers=(SlowFirst,)), make_small()
-    venv.reset(seed=1)
-    other.reset(seed=1)
-    actions = STILL + np.float32(0.5)
-    actions[0, 1] = -0.5  # slow
-    venv.send(actions)
-    observation, reward, *ends, infos = other.step(actions)
-    for group in ([2, 1], [0]):
-        place, (mine, *rest, listed) = venv.recv_group([[0], [2, 1]])
-        assert place == (0 if group == [0] else 1)
-        assert equal(
-            (mine, *rest),
-            ({key: part[group] for key, part in observation.items()}, reward[group], *[end[group] for end in ends]),
-        )
-        assert equal(listed, [row_of(infos, env) for env in group])
-    with pytest.raises(NoAsyncCallError, match="none is under way as a whole"):
-        venv.recv_group([[0], [2, 1]])
-    venv.send(STILL[:1], [1])
-    with pytest.raises(NoAsyncCallError, match="none is under way as a whole"):
-        venv.recv_group([[0], [2, 1]])
-    venv.recv()
-    venv.close()
-    other.close()
-
-
-def test_an_exception_in_a_group_is_raised_when_the_group_is_received() -> None:
-    venv = make_small()
-    venv.reset(seed=1)
-    actions = STILL.copy()
-    actions[1] = 0.3, np.nan
-    venv.send(actions)
-    with pytest.raises(ActionError, match=r"action\[turn\]: nan"):
-        venv.recv_group([[1, 2]])
-    assert venv.recv_group([[0]])[0] == 0
-    venv.close()
-
-
 @pytest.mark.parametrize("size", [0, N + 1, 1.5, True, "2"], ids=str)
 def test_a_wrong_batch_size_is_refused(size: Any) -> None:
     with pytest.raises(ValueError, match=f"batch_size: {size!r}, expected an integer from 1 to 3"):
