@@ -13,30 +13,20 @@ from mecp_env.planning.config import KnownGroundConfig, PlanningConfig
 from mecp_env.planning.goal_list import PLACE, WAIT, Goal, GoalKind, Goals, Outcome, PlaceKind
 from mecp_env.planning.goals import GoalHistory
 from mecp_env.planning.known_ground import Surroundings, landmark_information, offered_goals
-from mecp_env.slam.messages import Belief, Cell, RoomGraph, SemanticGrid
-
-
-class Report:
-    """Only the fields of a SLAM output that the functions under test read."""
-
-    def __init__(self, **parts: object) -> None:
-        self.__dict__.update(parts)
-
+from mecp_env.slam.messages import Cell
+from mecp_env.slam.output import SlamOutput
+from tests.slam import make
 
 CONFIG = PlanningConfig(known_ground=KnownGroundConfig(places=8, wait_steps=5))
 ROWS = 32
 
 
-def hall(x: float = 10.0, sigma_m: float = 0.1) -> Report:
+def hall(x: float = 10.0, sigma_m: float = 0.1) -> SlamOutput:
     """A robot at (x, 5) in an empty hall of 20 m by 10 m, with two well-known landmarks in a corner."""
     label = np.full((100, 200), int(Cell.FREE), np.uint8)
     label[0] = label[-1] = label[:, 0] = label[:, -1] = int(Cell.OCCUPIED)
-    grid = SemanticGrid(label, label == 1, np.zeros_like(label, np.int16), np.zeros(2), 0.1, 1)
-    covs = np.tile(np.eye(2) * 1e-4, (2, 1, 1))
-    belief = Belief(
-        np.array([x, 5.0, 0.0]), np.eye(3) * sigma_m**2, np.arange(2), np.array([[1.0, 1.0], [1.0, 2.0]]), covs
-    )
-    return Report(grid=grid, belief=belief, graph=RoomGraph(0, False, (0,), (), (), {}), localised=True)
+    belief = make.belief((x, 5.0, 0.0), [[1.0, 1.0], [1.0, 2.0]], pose_cov=sigma_m**2)
+    return make.output(grid=make.grid(label), belief=belief, graph=make.graph())
 
 
 def path(*corners: tuple[float, float]) -> np.ndarray:
@@ -135,7 +125,7 @@ def test_waiting_costs_no_way() -> None:
 def test_before_anything_is_mapped_nothing_is_offered() -> None:
     empty = hall()
     grid = replace(empty.grid, label=np.zeros((0, 0), np.uint8), room=np.zeros((0, 0), np.int16))
-    around = Surroundings(Report(grid=grid, belief=empty.belief), GoalHistory(), THERE[:1])
+    around = Surroundings(replace(empty, grid=grid), GoalHistory(), THERE[:1])
     assert offered_goals(Goals(), around, CONFIG, ROWS) is None
 
 

@@ -12,14 +12,15 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import OdometryConfig
 from mecp_env.world.odometry import _variances, measure
 from mecp_env.world.simulation import Motion
+from tests.world.make import motion as moved
 
 Array = NDArray[np.float64]
 
-STRAIGHT = Motion(np.array([[0.1, 0.0]] * 4), contact=False)
-TURNING = Motion(np.array([[0.0, math.pi / 8.0]] * 4), contact=False)
-CURVE = Motion(np.array([[0.08, 0.1]] * 4), contact=False)
-MIXED = Motion(np.array([[0.05, 0.1], [0.1, -0.2], [-0.02, 0.0], [0.0, 0.0]]), contact=True)
-REST = Motion(np.zeros((4, 2)), contact=False)
+STRAIGHT = moved((0.1, 0.0), steps=4)
+TURNING = moved((0.0, math.pi / 8.0), steps=4)
+CURVE = moved((0.08, 0.1), steps=4)
+MIXED = moved((0.05, 0.1), (0.1, -0.2), (-0.02, 0.0), (0.0, 0.0), contact=True)
+REST = moved((0.0, 0.0), steps=4)
 
 
 def variances(increments: Array, config: OdometryConfig) -> Array:
@@ -34,7 +35,7 @@ def total_sigmas(motion: Motion, config: OdometryConfig) -> Array:
 
 
 def test_per_metre_is_the_papers_noise_after_a_metre() -> None:
-    metre = Motion(np.array([[0.25, 0.0]] * 4), contact=False)
+    metre = moved((0.25, 0.0), steps=4)
     assert total_sigmas(metre, OdometryConfig()) == pytest.approx([0.1, math.radians(1.5)], abs=1e-5)
 
 
