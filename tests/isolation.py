@@ -1,4 +1,4 @@
-"""Where a test depends on the inside of the package: carriers that it builds, private names that it reads."""
+"""Where a test depends on the inside of the package: carriers that it builds itself, private names that it reads."""
 
 from __future__ import annotations
 
@@ -6,68 +6,62 @@ import ast
 from collections.abc import Iterator
 from functools import cache
 
-from tests.architecture import ROOT, module_name, sources
+from tests.architecture import ROOT, sources
 
-STAGES = tuple(f"mecp_env.{folder}." for folder in ("slam", "planning", "episode"))
-PUBLIC = ("_replace", "_asdict", "_fields", "_exit")  # of named tuples and of `os`
+STAGES = ("slam", "planning", "episode")  # folders whose named tuples and frozen dataclasses are carriers, too
+NAMED_TUPLES = ("_replace", "_asdict", "_fields")  # public in spite of their names, as `os._exit` is
+MAKERS = "make.py"  # files that build carriers for the tests
 
 
 @cache
-def carriers() -> frozenset[str]:
-    """Classes that stages pass on: what is decorated as a carrier; named tuples and frozen dataclasses of stages."""
-    return frozenset(
-        node.name
-        for path, module in sources("mecp_env").items()
-        for node in ast.walk(module)
-        if isinstance(node, ast.ClassDef) and _is_carrier(node, module_name(path).startswith(STAGES))
-    )
+def carriers() -> dict[str, set[str]]:
+    """The folders of the package that define a carrier, by its name."""
+    found: dict[str, set[str]] = {}
+    for path, module in sources("mecp_env").items():
+        folder = path.relative_to(ROOT).parts[1]
+        for node in ast.walk(module):
+            if isinstance(node, ast.ClassDef) and _is_carrier(node, folder in STAGES):
+                found.setdefault(node.name, set()).add(folder)
+    return found
 
 
 def _is_carrier(node: ast.ClassDef, of_a_stage: bool) -> bool:
-    decorators = [ast.unparse(part) for part in node.decorator_list]
-    frozen = any("frozen=True" in part for part in decorators) or "NamedTuple" in map(ast.unparse, node.bases)
+    decorators, bases = ([ast.unparse(part) for part in parts] for parts in (node.decorator_list, node.bases))
+    frozen = "NamedTuple" in bases or any("frozen=True" in part for part in decorators)
     return "carrier" in decorators or node.name == "FeatureTable" or (of_a_stage and frozen)
 
 
 def built(module: ast.Module) -> Iterator[str]:
-    """The carriers that a file builds with arguments, by the names that it imports."""
-    imported, modules = _imported(module)
+    """The carriers that a file builds with arguments, once for each time."""
+    folders = {  # of the package, by each name that is imported from it; `mecp_env.slam` shows what is of `core`
+        alias.asname or alias.name: {*(node.module or "").split(".")[1:2], "core"}
+        for node in ast.walk(module)
+        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mecp_env")
+        for alias in node.names
+    }
     for node in ast.walk(module):
         if isinstance(node, ast.Call) and (node.args or node.keywords):
-            of_module = isinstance(node.func, ast.Attribute) and ast.unparse(node.func.value) in modules
-            name = node.func.attr if of_module else getattr(node.func, "id", "")
-            if (of_module or name in imported) and name in carriers():
+            *of_module, name = ast.unparse(node.func).split(".")[-2:]
+            if folders.get((of_module or [name])[0], set()) & carriers().get(name, set()):
                 yield name
 
 
 def private(module: ast.Module) -> Iterator[str]:
-    """The private names that a file reads of others: attributes, imports, and names that it patches."""
+    """The private names of others that a file reads: attributes, imports, and names that it patches."""
     for node in ast.walk(module):
-        names = list[str]()
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "super()"):
+        names: list[object] = []
+        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "super()", "os"):
             names = [node.attr]
         elif isinstance(node, ast.ImportFrom):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
-            names = [part.value for part in node.args if isinstance(part, ast.Constant) and isinstance(part.value, str)]
-        yield from (name for name in names if name[:1] == "_" != name[1:2] and name not in PUBLIC)
+            names = [part.value for part in node.args if isinstance(part, ast.Constant)]
+        private = [name for name in names if isinstance(name, str) and name[:1] == "_" != name[1:2]]
+        yield from (name for name in private if name not in NAMED_TUPLES)
 
 
-def _imported(module: ast.Module) -> tuple[set[str], set[str]]:
-    """The names that a file imports from the package, and those that are modules."""
-    names = [
-        (alias.asname or alias.name, f"{node.module}.{alias.name}")
-        for node in ast.walk(module)
-        if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mecp_env")
-        for alias in node.names
-    ]
-    modules = {module_name(path) for path in sources("mecp_env")}
-    return {name for name, _ in names}, {name for name, full in names if full in modules}
-
-
-def counts(what: str) -> dict[str, int]:
-    """How many carriers, or private names, each file of the tests has, builders left out."""
+def uses(what: str) -> dict[str, int]:
+    """How many times each file of the tests builds carriers, or reads private names."""
     found = {"carriers": built, "private names": private}[what]
-    files = {path: module for path, module in sources("tests").items() if path.name != "make.py"}
-    numbers = {str(path.relative_to(ROOT / "tests")): len(list(found(module))) for path, module in files.items()}
-    return {file: number for file, number in numbers.items() if number}
+    files = {path: list(found(module)) for path, module in sources("tests").items() if path.name != MAKERS}
+    return {path.relative_to(ROOT).as_posix(): len(names) for path, names in files.items() if names}

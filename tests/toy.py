@@ -76,7 +76,7 @@ def look(
 ) -> tuple[MergedScan, Segments]:
     """MergedScan, with noise, and the segments a perfect front end would fit to them."""
     ranges, face = cast_rays(T_world_robot)
-    beams = make.beams(ranges + (0.0 if rng is None else sigma * rng.standard_normal(720)), BEARINGS)
+    beams = make.beams(ranges + (0.0 if rng is None else sigma * rng.standard_normal(720)), BEARINGS, hit=True)
     starts = np.flatnonzero(face != np.roll(face, 1))
     roll = int(starts[0])
     rows: list[Any] = []

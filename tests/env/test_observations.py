@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -19,7 +20,7 @@ from mecp_env.episode.observations import (
     rooms_after_merges,
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
-from tests.env.helpers import drive, make
+from tests.env.helpers import drive, episode_of, make
 from tests.slam import make as carriers
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
@@ -164,12 +165,11 @@ def test_saturation_is_cut_and_counted():
 def test_left_out_and_cut_values_are_counted_in_info():
     env = make().unwrapped
     env.reset(seed=1)
-    episode = env._episode
-    output = episode.slam_output
+    episode = episode_of(env)
     far = belief_of(LANDMARKS + 5, np.random.default_rng(0))
     far.p_map[:] = 2.0 * EXTENT_M
     far.covs[:, 0, 0] = 2.0 * COV_MAX
-    object.__setattr__(output, "belief", far)
+    episode.slam_output = replace(episode.slam_output, belief=far)
     episode.pipeline.map.features = features_of(LANDMARKS + 5)
     observation = env.observation()
     assert observation in env.observation_space

@@ -17,7 +17,7 @@ from mecp_env.episode.rewards import (
     new_memory,
     weights_of,
 )
-from tests.env.helpers import drive, make
+from tests.env.helpers import drive, episode_of, make, world_of
 from tests.env.make import happened, reward_inputs
 from tests.slam.make import belief, grid
 
@@ -189,14 +189,14 @@ def test_the_area_of_an_episode_telescopes(source):
     env = make(reward={"source": source, "area": 1.0})
     _, info = env.reset(seed=1)
     base = env.unwrapped
-    start = base._episode.memory.area_m2
+    start = episode_of(base).memory.area_m2
     assert start > 5.0
     rows = drive(env, 15)
     gained = sum(row[4]["reward_area"] for row in rows)
-    assert gained == pytest.approx(base._episode.memory.area_m2 - start)
+    assert gained == pytest.approx(episode_of(base).memory.area_m2 - start)
     if source == "truth":
         coverage = rows[-1][4]["coverage"] - info["coverage"]
-        assert gained == pytest.approx(coverage * base._true_world.truth.free_cells * 0.01)
+        assert gained == pytest.approx(coverage * world_of(base).truth.free_cells * 0.01)
 
 
 def test_a_contact_costs():
@@ -213,7 +213,7 @@ def test_a_contact_costs():
 def test_a_filter_that_diverged_completes_nothing():
     env = make(end={"coverage": 0.1}, reward="terms").unwrapped
     env.reset(seed=1)
-    env._episode.pipeline.divergence.found = True
+    episode_of(env).pipeline.divergence.found = True
     _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (False, True)
     assert info["reward_divergence"] == -20.0

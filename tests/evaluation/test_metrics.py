@@ -10,9 +10,8 @@ from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.correct_coverage import correct_coverage
-from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
+from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import (
-    _from_doorways,
     distances,
     door_centres,
     doors_found,
@@ -28,8 +27,8 @@ from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.laser import line_of_sight
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, random_free_pose
-from tests.env.helpers import make
-from tests.slam.make import belief, door, graph, grid, match, output
+from tests.env.helpers import episode_of, make
+from tests.slam.make import belief, corners, door, graph, grid, match, output
 
 
 @pytest.fixture(scope="module", params=["two_rooms", "paper"])
@@ -204,13 +203,17 @@ def test_nees_of_the_pose():
     assert nees(error, np.full((3, 3), np.nan)) == 1e9
 
 
+def nothing_seen(believed):
+    """A step in which no corner was seen."""
+    return output(corners=corners(), match=match([]), belief=believed, graph=graph(), grid=grid(np.zeros((0, 0))))
+
+
 def test_the_pose_error_is_measured_in_the_map_frame(truth):
     start = np.array(truth.outline.starts[0])
     metrics = EpisodeMetrics.begin(truth, start)
-    moved = compose(start, np.array([1.0, 0.5, 3.0]))
-    metrics.T_map_robot = metrics.in_map(moved)
+    moved, seen = compose(start, np.array([1.0, 0.5, 3.0])), nothing_seen(belief((1.03, 0.46, -3.2), pose_cov=0.01))
+    metrics.look(truth, moved, seen)
     assert np.allclose(metrics.T_map_robot, [1.0, 0.5, 3.0])
-    metrics._compare_pose(belief((1.03, 0.46, -3.2), pose_cov=0.01))
     assert metrics.pose_error_m == pytest.approx(0.05)
     assert metrics.heading_error_rad == pytest.approx(2 * math.pi - 6.2)
 
@@ -259,8 +262,9 @@ def test_one_face_of_a_door_in_a_thick_wall_is_that_door(truth):
     ahead = np.stack([np.cos(doors.normal), np.sin(doors.normal)], axis=1)
     aside = ahead[:, ::-1] * (1.0, -1.0)
     for offset, found in ((0.35 * ahead, True), (0.6 * ahead, True), (0.7 * ahead, False), (0.35 * aside, False)):
-        far = _from_doorways(thick, doors.centre + offset)
-        assert (np.diag(far) < 0.3).all() == found
+        known = belief(p_map=np.repeat(doors.centre + offset, 2, axis=0))
+        seen = output(belief=known, graph=graph(doors=[door(i, (2 * i, 2 * i + 1)) for i in range(len(doors))]))
+        assert doors_found(thick, seen, np.zeros(3))[0] == found * len(doors)
 
 
 def test_false_doors_and_rooms_are_counted_once(truth):
@@ -381,7 +385,7 @@ def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
 def test_a_wrong_pose_makes_an_episode_lost_and_its_map_wrong():
     env = make(estimator="slam")
     env.reset(seed=1)
-    pipeline = env.unwrapped._episode.pipeline
+    pipeline = episode_of(env).pipeline
     for _ in range(12):
         env.step(np.array([0.5, 0.3], np.float32))
     assert env.unwrapped.summary()["lost"] is False
@@ -396,7 +400,9 @@ def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_move
     metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
     corner = truth.outline.corners.p_world[0]
     for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
-        metrics._mark_obstacles(truth, place[None])
+        metrics.look(
+            truth, np.array([1.0, 1.0, 0.5]), nothing_seen(belief()), NO_OBSTACLES._replace(walking=place[None])
+        )
     metrics.association.features[3:5, 0] = 0
     at = np.array([(2.0, 2.2), (2.6, 2.0), (2.0, 2.6), corner, corner + 0.05])
     p_map = to_map(inverse(metrics.T_world_map), at)

@@ -41,9 +41,9 @@ def path(*corners: tuple[float, float]) -> np.ndarray:
 THERE = path((2.0, 2.0), (2.0, 8.0), (10.0, 8.0), (10.0, 5.0))
 
 
-def offered(travelled: np.ndarray = THERE, history: GoalHistory | None = None, goals: Goals | None = None, **changes):
+def offered(travelled: np.ndarray = THERE, history=None, goals: Goals | None = None, output=None, **changes):
     config = CONFIG.model_copy(update={"known_ground": CONFIG.known_ground.model_copy(update=changes)})
-    around = Surroundings(hall(), history or GoalHistory(), travelled)
+    around = Surroundings(output or hall(), history or GoalHistory(), travelled)
     return offered_goals(goals or Goals(), around, config, ROWS)
 
 
@@ -125,8 +125,7 @@ def test_waiting_costs_no_way() -> None:
 def test_before_anything_is_mapped_nothing_is_offered() -> None:
     empty = hall()
     grid = replace(empty.grid, label=np.zeros((0, 0), np.uint8), room=np.zeros((0, 0), np.int16))
-    around = Surroundings(replace(empty, grid=grid), GoalHistory(), THERE[:1])
-    assert offered_goals(Goals(), around, CONFIG, ROWS) is None
+    assert offered(THERE[:1], output=replace(empty, grid=grid)) is None
 
 
 def test_one_by_one_and_back_the_list_is_the_same() -> None:

@@ -18,7 +18,7 @@ from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.config import SensorModel
 from mecp_env.slam.outlines import area, door_outline, room_outline
 from tests.slam import make
-from tests.slam.drives import scripted_drive
+from tests.slam.drives import fed, scripted_drive
 
 FILES = {"landmarks": "x.csv", "rooms": "x.geojson", "g2o": "x.g2o", "grid": "x.yaml"}
 
@@ -28,8 +28,7 @@ def mapped() -> tuple[SlamPipeline, SlamOutput]:
     """A drive through two rooms."""
     drive = scripted_drive()
     pipeline = SlamPipeline()
-    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    *_, output = fed(pipeline, drive)
     return pipeline, output
 
 

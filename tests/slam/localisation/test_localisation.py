@@ -20,7 +20,7 @@ from mecp_env.slam.localisation.relocalisation import LandmarkIndex, count_disti
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
-from tests.slam.drives import scripted_drive
+from tests.slam.drives import fed, scripted_drive
 from tests.slam.make import evidence
 
 CONFIG = LocalisationConfig()
@@ -32,8 +32,7 @@ def mapped():
     """A pipeline at the end of a drive through two rooms, its last output, and the drive."""
     drive = scripted_drive()
     pipeline = SlamPipeline()
-    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    *_, output = fed(pipeline, drive)
     return pipeline, output, drive
 
 
@@ -122,10 +121,8 @@ def test_one_scan_is_located_anywhere_in_the_map(mapped):
     pipeline, output, drive = mapped
     view = pipeline.map.view(output.belief, output.graph, np.empty(0, np.int64), output.step)
     index = LandmarkIndex(view, CONFIG, REACH_M, TURN_RAD)
-    replayed = SlamPipeline()
     hits = 0
-    for k, (odometry, scan) in enumerate(zip(drive.odometry, drive.scans, strict=True)):
-        features = replayed.start(scan) if odometry is None else replayed.step(odometry, scan)
+    for k, features in enumerate(fed(SlamPipeline(), drive)):
         if k % 10 == 0:
             found = index.locate(features.corners, features.polygons)
             assert all(len(one.corners) == len(set(one.ids.tolist())) for one in found)
