@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,13 +35,6 @@ from tests.slam.make import belief, corners, door, graph, grid, match, output
 @pytest.fixture(scope="module", params=["two_rooms", "paper"])
 def truth(request):
     return GroundTruth(build_outline(load_layout(request.param)), 30.0)
-
-
-class Report:
-    """Only the fields that the functions under test read."""
-
-    def __init__(self, **parts):
-        self.__dict__.update(parts)
 
 
 def report_of(step, ids, decision, landmarks):
@@ -258,7 +252,7 @@ def test_a_perfect_map_gets_full_marks(truth, T_world_map):
 def test_one_face_of_a_door_in_a_thick_wall_is_that_door(truth):
     """In the double walls of KTH floors, 0.7 m thick, half of the right doors counted as false."""
     doors = truth.outline.doors
-    thick = Report(outline=Report(doors=replace(doors, thickness=np.full(len(doors.thickness), 0.7))))
+    thick = SimpleNamespace(outline=SimpleNamespace(doors=replace(doors, thickness=np.full(len(doors.thickness), 0.7))))
     ahead = np.stack([np.cos(doors.normal), np.sin(doors.normal)], axis=1)
     aside = ahead[:, ::-1] * (1.0, -1.0)
     for offset, found in ((0.35 * ahead, True), (0.6 * ahead, True), (0.7 * ahead, False), (0.35 * aside, False)):
@@ -415,7 +409,7 @@ def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
     pose, box, size = np.array([2.0, 2.0, 0.0]), np.array([[2.8, 2.0, 0.0]]), np.array([[0.4, 0.4]])
     at = box_corners(box, size)
     obstacles = DynamicObstacles(moving_faces(np.empty((0, 3)), box, size), at, np.empty((0, 3)))
-    seen = Report(z=np.column_stack([np.hypot(*(at - pose[:2]).T), np.arctan2(at[:, 1] - 2.0, at[:, 0] - 2.0)]))
+    seen = corners(points=at - pose[:2])
     count = len(truth.outline.corners)
     assert sorted(truth.identify(seen, pose, obstacles)) == [-1, -1, count, count + 3]
     assert (truth.identify(seen, pose) == -1).all()

@@ -10,6 +10,7 @@ from mecp_env.render.view import SceneView
 from mecp_env.slam.messages import Cell, Corners, Decision, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make
+from tests.slam.scans import cast
 
 Array = NDArray[np.float64]
 
@@ -27,18 +28,6 @@ def faces() -> Array:
     """(S,2,2) m: the faces of the two rooms' walls, free space on the left."""
     rings = [np.array(ring, float) for ring in (OUTER, INNER)]
     return np.concatenate([np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings])
-
-
-def cast(segments: Array, T: Array, bearings: Array) -> Array:
-    """(B,) m: ranges of beams from pose T, plain and slow."""
-    angle = T[2] + bearings
-    direction = np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
-    edge, to_start = segments[:, 1] - segments[:, 0], segments[:, 0] - T[:2]
-    across = direction[..., 0] * edge[:, 1] - direction[..., 1] * edge[:, 0]
-    along = (to_start[:, 0] * edge[:, 1] - to_start[:, 1] * edge[:, 0]) / across
-    share = (to_start[:, 0] * direction[..., 1] - to_start[:, 1] * direction[..., 0]) / across
-    ranges: Array = np.where((along > 0) & (share >= 0) & (share <= 1), along, 30.0).min(axis=1)
-    return ranges
 
 
 def grid(T: Array) -> SemanticGrid:
@@ -67,7 +56,7 @@ def corners() -> Corners:
 def output() -> SlamOutput:
     """The SLAM output in that state."""
     bearings = np.radians(np.arange(-179.75, 180.0, 0.5))
-    ranges = cast(faces(), T_WORLD_ROBOT, bearings)
+    ranges = cast(to_robot(T_WORLD_ROBOT, faces().reshape(-1, 2)).reshape(-1, 2, 2), bearings)
     p_map = to_robot(T_WORLD_MAP, LANDMARKS)
     covs = np.array([[[0.004, 0.001], [0.001, 0.002]]]) * np.linspace(0.1, 1.0, len(p_map))[:, None, None]
     T_map_robot = np.append(to_robot(T_WORLD_MAP, T_WORLD_ROBOT[None, :2])[0], T_WORLD_ROBOT[2] - T_WORLD_MAP[2])
@@ -75,7 +64,7 @@ def output() -> SlamOutput:
     match = make.match([-1] * 4, Decision.IGNORED, reason=Reason.POLYGON)
     return make.output(
         step=12,
-        beams=make.beams(ranges, bearings),
+        beams=make.beams(np.minimum(ranges, make.MAX_RANGE_M), bearings),
         segments=make.segments(),
         corners=corners(),
         associated=match,

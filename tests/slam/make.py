@@ -77,7 +77,7 @@ def nominal_bearings(sweeps: int = 4, beams: int = 720) -> Any:
     return (-math.pi + step * np.arange(1, sweeps * beams + 1)).reshape(beams, sweeps).T.copy()
 
 
-MIDDLES = (np.arange(720) + 0.5) * math.pi / 360.0 - math.pi
+MIDDLES: Any = (np.arange(720) + 0.5) * math.pi / 360.0 - math.pi  # rad, of 720 beams, none of which points ahead
 
 
 def scan(ranges: Any, bearings: Any = None, hit: Any = None, max_range_m: float = MAX_RANGE_M) -> Scan:

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, record_doorways, rename_jambs
 from mecp_env.slam.rooms.limits import RoomLimits
@@ -32,9 +33,8 @@ def features():
 
 def sighting(belief, ids, pairs=(), confirmable=True):
     """Corners and match of a scan that sees the landmarks `ids`, `pairs` of them (positions in ids) as doorways."""
-    offset = belief.p_map[list(ids)] - belief.T_map_robot[:2]
-    z = np.stack((np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0]) - belief.T_map_robot[2]), axis=1)
-    return make.corners(z, cov=1e-6, gaps=make.doorways(pairs, confirmable)), make.match(ids, nis=0.0)
+    points = to_robot(belief.T_map_robot, belief.p_map[list(ids)])
+    return make.corners(points=points, cov=1e-6, gaps=make.doorways(pairs, confirmable)), make.match(ids, nis=0.0)
 
 
 def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_room=None):
