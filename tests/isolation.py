@@ -33,31 +33,32 @@ def _is_carrier(node: ast.ClassDef, of_a_stage: bool) -> bool:
 
 def built(module: ast.Module) -> Iterator[str]:
     """The carriers that a file builds with arguments, once for each time."""
-    folders = {  # of the package, by each name that is imported from it; `mecp_env.slam` shows what is of `core`
-        alias.asname or alias.name: {*(node.module or "").split(".")[1:2], "core"}
+    imported = {  # real name and folders of the package, by each name; `mecp_env.slam` shows what is of `core`, too
+        alias.asname or alias.name: (alias.name, {*(node.module or "").split(".")[1:2], "core"})
         for node in ast.walk(module)
         if isinstance(node, ast.ImportFrom) and (node.module or "").startswith("mecp_env")
         for alias in node.names
     }
     for node in ast.walk(module):
         if isinstance(node, ast.Call) and (node.args or node.keywords):
-            *of_module, name = ast.unparse(node.func).split(".")[-2:]
-            if folders.get((of_module or [name])[0], set()) & carriers().get(name, set()):
+            first, *rest = ast.unparse(node.func).split(".")
+            name, folders = imported.get(first, ("", set()))
+            name = rest[0] if len(rest) == 1 else name
+            if len(rest) < 2 and folders & carriers().get(name, set()):
                 yield name
 
 
 def private(module: ast.Module) -> Iterator[str]:
     """The private names of others that a file reads: attributes, imports, and names that it patches."""
     for node in ast.walk(module):
-        names: list[object] = []
+        names = list[str]()
         if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "super()", "os"):
             names = [node.attr]
         elif isinstance(node, ast.ImportFrom):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):
-            names = [part.value for part in node.args if isinstance(part, ast.Constant)]
-        private = [name for name in names if isinstance(name, str) and name[:1] == "_" != name[1:2]]
-        yield from (name for name in private if name not in NAMED_TUPLES)
+            names = [str(part.value).split(".")[-1] for part in node.args if isinstance(part, ast.Constant)]
+        yield from (name for name in names if name[:1] == "_" != name[1:2] and name not in NAMED_TUPLES)
 
 
 def uses(what: str) -> dict[str, int]:
