@@ -98,3 +98,12 @@ def _docstrings(tree: ast.Module) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, kinds) and (text := ast.get_docstring(node)):
             yield text
+
+
+def written_modules(folder: Path) -> list[str]:
+    """The names of the modules of docs/own-parts.md, which are written to a folder."""
+    page = (ROOT / "docs/own-parts.md").read_text()
+    modules = re.findall(r'```python\n("""(\w+)\.py""".*?)```', page, re.DOTALL)
+    for text, name in modules:
+        (folder / f"{name}.py").write_text(text)
+    return [name for _, name in modules]

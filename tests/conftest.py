@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import gc
 import os
-from collections.abc import Generator
+import sys
+from collections.abc import Generator, Iterator
+from pathlib import Path
 
 import pytest
 
@@ -25,3 +27,26 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.enable()
         gc.freeze()
+
+
+@pytest.fixture
+def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """An empty working directory; what modules in it register is forgotten in the end."""
+    from mecp_env.config import REWARDS
+    from mecp_env.core import own_modules
+    from mecp_env.policies.registry import EXPLORERS
+    from mecp_env.slam import association, config, filters, mecp
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(own_modules, "_imported", {})
+    for names in (config.METHODS, config.KINDS, config.STRUCTURE_NAMES, REWARDS):
+        monkeypatch.setattr(names, "others", [*names.others])
+    makers = association.ASSOCIATORS, filters.FILTERS, mecp.STRUCTURES, EXPLORERS
+    before = [set(table) for table in makers]
+    yield tmp_path
+    for table, known in zip(makers, before, strict=True):
+        for name in set(table) - known:
+            del table[name]
+    for file in tmp_path.glob("*.py"):
+        sys.modules.pop(file.stem, None)

@@ -225,7 +225,7 @@ def run_hashes(case: str) -> Hashes:
         return CASES[case].drive(partial(CASES[case].make, Path(folder)))
 
 
-def _feed(digest: hashlib._Hash, arrays: dict[str, Any]) -> None:
+def _feed(digest: Any, arrays: dict[str, Any]) -> None:
     for name in sorted(arrays):
         digest.update(name.encode())
         digest.update(np.ascontiguousarray(arrays[name]).tobytes())

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import re
-import sys
 from collections.abc import Callable, Iterator
 from itertools import chain
 from pathlib import Path
@@ -13,15 +11,11 @@ import pytest
 import tyro
 
 from benchmarks import __main__ as benchmarks
-from mecp_env import config
 from mecp_env.cli import main as cli
-from mecp_env.core import own_modules
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.potentials import register_reward
-from mecp_env.slam import association, filters, mecp
-from mecp_env.slam import config as slam_config
 from tests import command_lines
-from tests.command_lines import ROOT, command_of
+from tests.command_lines import command_of, written_modules
 
 SOURCES = {  # and how many lines there are at least
     command_lines.lines_of_documents: 80,
@@ -29,34 +23,15 @@ SOURCES = {  # and how many lines there are at least
     command_lines.lines_of_help: 40,
     command_lines.lines_of_docstrings: 12,
 }
-PAGE = ROOT / "docs/own-parts.md"  # has the modules that lines name after --with
 _parsed: set[tuple[str, ...]] = set()
 
 
 @pytest.fixture
-def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    """The modules of `PAGE`, in the working directory; what they register is forgotten in the end."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(own_modules, "_imported", {})
-    modules = re.findall(r'```python\n("""(\w+)\.py""".*?)```', PAGE.read_text(), re.DOTALL)
-    for text, name in modules:
-        Path(f"{name}.py").write_text(text)
-    Path("my_rewards.py").write_text("")
+def parts_of_pages(own_parts: Path) -> None:
+    """The modules that lines name after --with, in the working directory."""
+    written_modules(own_parts)
+    (own_parts / "my_rewards.py").write_text("")
     register_reward("landmarks_seen", lambda inputs: 0.0)
-    yield
-    config.REWARDS.others.remove("landmarks_seen")
-    parts = (
-        (slam_config.METHODS, association.ASSOCIATORS),
-        (slam_config.KINDS, filters.FILTERS),
-        (slam_config.STRUCTURE_NAMES, mecp.STRUCTURES),
-    )
-    for names, makers in parts:
-        for name in names.others:
-            del makers[name]
-        names.others.clear()
-    for name in ("my_rewards", *(name for _, name in modules)):
-        sys.modules.pop(name, None)
 
 
 def parse(words: list[str]) -> None:
@@ -88,7 +63,7 @@ def failure(where: str, line: str) -> str | None:
     return None
 
 
-@pytest.mark.usefixtures("own_parts")
+@pytest.mark.usefixtures("parts_of_pages")
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.__name__)
 def test_every_command_line_parses(
     source: Callable[[], Iterator[tuple[str, str]]], capsys: pytest.CaptureFixture[str]

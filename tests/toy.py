@@ -3,25 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
 from mecp_env.core.se2 import compose, to_map, to_robot
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid.painter import GridPainter
-from mecp_env.slam.messages import (
-    Belief,
-    Candidate,
-    Door,
-    EdgeLabel,
-    MapPolygon,
-    MergedScan,
-    RoomGraph,
-    Segments,
-    SemanticGrid,
-)
+from mecp_env.slam.messages import Belief, EdgeLabel, MapPolygon, MergedScan, RoomGraph, Segments, SemanticGrid
 from mecp_env.slam.output import SlamOutput
+from tests.slam import make
 
 WALL_M = 0.12
 ROOM_A = (0.0, 0.0, 6.0, 4.0)  # x0, y0, x1, y1
@@ -85,19 +76,14 @@ def look(
 ) -> tuple[MergedScan, Segments]:
     """MergedScan, with noise, and the segments a perfect front end would fit to them."""
     ranges, face = cast_rays(T_world_robot)
-    noisy = ranges + (0.0 if rng is None else sigma * rng.standard_normal(720))
-    ones = np.ones(720, np.int64)
-    beams = MergedScan(noisy, BEARINGS, np.ones(720, np.bool_), ones, 30.0, noisy, BEARINGS)
+    beams = make.beams(ranges + (0.0 if rng is None else sigma * rng.standard_normal(720)), BEARINGS, hit=True)
     starts = np.flatnonzero(face != np.roll(face, 1))
     roll = int(starts[0])
     rows: list[Any] = []
     for first, last in zip(starts, [*starts[1:], starts[0] + 720], strict=True):
         if last - first >= 5:
             rows.append(segment(first - roll, last - 1 - roll, roll, T_world_robot, FACES[face[first]], ranges))
-    points, line, first, last = (np.array(column) for column in zip(*rows, strict=True))
-    count = len(rows)
-    cov, cluster = np.zeros((count, 2, 2)), np.arange(count)
-    return beams, Segments(points, line, cov, cluster, first.astype(np.int64), last.astype(np.int64), roll)
+    return beams, make.segments(*zip(*rows, strict=True), roll=roll)
 
 
 def segment(first: int, last: int, roll: int, T: np.ndarray, face: np.ndarray, ranges: np.ndarray) -> tuple[Any, ...]:
@@ -139,22 +125,19 @@ class Toy:
         """The pose with its error, all landmarks."""
         T = compose(self.T_map_world, self.T_world_robot)
         T = T + self.pose_sigma * self.rng.standard_normal(3) * np.array([1.0, 1.0, 0.1])
-        covs = np.broadcast_to(1e-4 * np.eye(2), (len(self.p_map), 2, 2)).copy()
-        return Belief(T, 1e-4 * np.eye(3), np.arange(len(self.p_map)), self.p_map.copy(), covs)
+        return make.belief(T, self.p_map, pose_cov=1e-4)
 
     def graph(self) -> RoomGraph:
         """One door, or one candidate."""
         self.rooms = tuple(sorted({*self.rooms, self.current}))
-        doors = (Door(0, (4, 5), (6, 7), (0, 1 if 1 in self.rooms else -1), 5),) if self.confirmed else ()
-        candidates = () if self.confirmed else (candidate(self.p_map[[4, 5]], 0),)
-        in_doorway = abs(self.T_world_robot[0] - 6.06) < 0.3
-        return RoomGraph(self.current, in_doorway, self.rooms, doors, candidates, {})
+        door = make.door(jambs=(4, 5), other_face=(6, 7), rooms=(0, 1 if 1 in self.rooms else -1), sightings=5)
+        gaps = {"doors": (door,)} if self.confirmed else {"candidates": (make.candidate(self.p_map[[4, 5]]),)}
+        return make.graph(self.current, self.rooms, in_doorway=abs(self.T_world_robot[0] - 6.06) < 0.3, **gaps)
 
     def add_polygon(self, ids: list[int], room: int, open_edges: tuple[int, ...] = ()) -> None:
         """A known polygon with whole edges of wall or open space."""
         labels = [EdgeLabel.OPEN if edge in open_edges else EdgeLabel.WALL for edge in range(len(ids))]
-        intervals = np.array([[edge, 0.0, 1.0, label] for edge, label in enumerate(labels)], np.float64)
-        self.polygons.append(MapPolygon(np.array(ids), intervals, room))
+        self.polygons.append(make.map_polygon(ids, room, make.edges(*labels)))
 
     def output(self, completed: tuple[int, ...] = ()) -> SlamOutput:
         """The SLAM output of this step."""
@@ -164,8 +147,8 @@ class Toy:
         ids, known = np.arange(len(self.p_map)), tuple(self.polygons)
         self.painter.complete(completed)
         grid = self.painter.paint(belief, beams, segments, ids, known, graph)
-        none = cast("Any", None)
-        return SlamOutput(self.step, beams, segments, none, (), none, none, belief, graph, known, grid, False)
+        seen = {"beams": beams, "segments": segments, "belief": belief, "graph": graph, "grid": grid}
+        return make.output(step=self.step, map_polygons=known, **seen)
 
     def move(self, v: float, w: float, radius_m: float = 0.22) -> None:
         """A step of 0.4 s in ten steps, with limited acceleration; `contact` when the robot would touch a wall."""
@@ -176,14 +159,6 @@ class Toy:
             blocked = wall_distance(ahead[:2]) < radius_m
             self.contact |= blocked
             self.T_world_robot = self.T_world_robot if blocked else ahead
-
-
-def candidate(ends: np.ndarray, room: int) -> Candidate:
-    """A gap seen once; the other fields of a candidate are not used here."""
-    made = object.__new__(Candidate)
-    for name, value in {"ends": ends, "room": room, "sightings": 1, "last_step": 1}.items():
-        object.__setattr__(made, name, value)
-    return made
 
 
 def wall_distance(p_world: np.ndarray) -> float:

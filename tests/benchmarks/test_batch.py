@@ -14,11 +14,11 @@ from scipy.optimize import least_squares
 from benchmarks import consistency, ring, victoria_park
 from benchmarks.batch import Motion, Record, Sighting, filtered, library, measurement, optimum, turned
 from benchmarks.common import OptionError, Options, shared_data
-from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.filters.error_state import left_jacobian
+from tests.slam import make
 
 LOG = (shared_data("logs") or Path("none")) / victoria_park.FILE
 needs_gtsam = pytest.mark.skipif("not __import__('importlib.util').util.find_spec('gtsam')", reason="extra `lab`")
@@ -118,8 +118,7 @@ def test_derivatives_are_those_of_finite_differences() -> None:
 
 def test_a_motion_is_what_a_filter_predicts() -> None:
     """Predicted from any pose: the same pose, and the same covariance but for the floor of rest."""
-    arcs = np.array([[0.3, 0.4], [0.2, -0.1]])
-    odometry = Odometry(arcs, np.tile(np.diag([0.01, 0.02]), (2, 1, 1)), False)
+    odometry = make.odometry([(0.3, 0.4), (0.2, -0.1)], cov=np.diag([0.01, 0.02]))
     motion, estimate = Motion.of_odometry(odometry, FilterConfig()), make_filter(FilterConfig(kind="ekf"))
     estimate.set_pose(np.array([2.0, 1.0, 0.8]))
     before = estimate.belief().T_map_robot
@@ -228,9 +227,7 @@ def test_the_band_is_that_of_sixty_runs() -> None:
 
 
 def test_only_steps_with_slip_are_allowed_more() -> None:
-    motion = Motion(
-        Odometry(np.array([[1.0, 0.0]]), np.zeros((1, 2, 2)), False), np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4
-    )
+    motion = Motion(make.odometry((1.0, 0.0)), np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4)
     assert consistency.with_slip(motion, np.array([1.01, 0.01, 0.0])) is motion
     slipped = consistency.with_slip(motion, np.array([0.4, 0.0, 0.1]))
     np.testing.assert_allclose(slipped.cov, motion.cov + np.diag(consistency.SLIP_SIGMAS**2))

@@ -19,6 +19,7 @@ from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
+from tests.slam.drives import fed
 
 
 @pytest.fixture(scope="module")
@@ -106,21 +107,14 @@ def test_a_scan_without_corners_or_hits_stays_without(scans: list[tuple[Corners,
     corners, beams = scans[0]
     rng = np.random.default_rng(0)
     assert len(cluttered(corners, beams, 0.0, 0.0, rng)) == 0
-    blind = MergedScan(beams.ranges, beams.bearings, *no_hits(beams))
-    assert len(cluttered(corners, blind, 1.0, 1.0, rng)) == len(corners)
-
-
-def no_hits(beams: MergedScan) -> tuple[object, ...]:
-    return np.zeros_like(beams.hit), beams.count, beams.max_range_m, beams.raw_ranges, beams.raw_bearings
+    assert len(cluttered(corners, beams.with_hits(np.zeros_like(beams.hit)), 1.0, 1.0, rng)) == len(corners)
 
 
 def test_every_associator_gets_the_same_corners(drive: Drive) -> None:
     seen: dict[str, list[list[float]]] = {}
     for name in ("mecp", "nearest"):
         made = ClutteredPipeline(with_change(drive.slam, associators()[name]), (0.9, 0.2), seed=3)
-        for odometry, scan in zip(drive.odometry[:20], drive.scans[:20], strict=True):
-            output = made.start(scan) if odometry is None else made.step(odometry, scan)
-            seen.setdefault(name, []).append(output.corners.z.ravel().tolist())
+        seen[name] = [output.corners.z.ravel().tolist() for output in fed(made, drive, last=20)]
     assert seen["mecp"] == seen["nearest"]
 
 

@@ -8,6 +8,7 @@ from benchmarks.drives import RecordingEnv, replay
 from benchmarks.map_consistency import mean_nees, seen_together
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import fed
 
 
 def test_a_replay_is_the_run_again_to_the_bit() -> None:
@@ -19,9 +20,7 @@ def test_a_replay_is_the_run_again_to_the_bit() -> None:
     drive, last = env.drive, env.slam_output
     assert len(drive.scans) == len(drive.odometry) == len(drive.T_world_robot) == last.step == 28
     assert [odometry is None for odometry in drive.odometry] == [True] * 3 + [False] * 25
-    pipeline = SlamPipeline(drive.slam)
-    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    *_, output = fed(SlamPipeline(drive.slam), drive)
     assert np.array_equal(output.belief.T_map_robot, last.belief.T_map_robot)
     assert np.array_equal(output.belief.p_map, last.belief.p_map)
     assert np.array_equal(output.grid.label, last.grid.label)

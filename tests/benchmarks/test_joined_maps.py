@@ -11,7 +11,7 @@ from benchmarks.joined_maps import Joined, join
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.slam import SlamMap, SlamPipeline
 from mecp_env.slam.map_file import place
-from tests.slam.drives import Drive, scripted_drive
+from tests.slam.drives import Drive, fed, scripted_drive
 
 
 @pytest.fixture(scope="module")
@@ -25,8 +25,7 @@ def maps(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> list[SlamPip
     paths: list[Path] = [tmp_path_factory.mktemp("maps") / f"{k}.zip" for k in range(3)]
     for path, last in zip(paths, (len(drive.scans), 50, len(drive.scans)), strict=True):
         pipeline = SlamPipeline()
-        for odometry, scan in zip(drive.odometry[:last], drive.scans[:last], strict=True):
-            pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        list(fed(pipeline, drive, last=last))
         pipeline.save_map(path)
     return [SlamPipeline.from_map(path) for path in paths]
 

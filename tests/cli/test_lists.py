@@ -11,7 +11,6 @@ from benchmarks.__main__ import parser
 from mecp_env.cli import main as cli
 from mecp_env.cli.base import LISTS, gathered
 from mecp_env.config import REWARDS
-from mecp_env.core import own_modules
 
 Captured = pytest.CaptureFixture[str]
 
@@ -56,7 +55,6 @@ def test_other_options_stay_as_they_are() -> None:
 def test_a_command_has_all_words(words: str, line: str, path: str, value: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(REWARDS, "others", ["a", "b"])
     monkeypatch.setattr(cli, "import_modules", lambda names: None)
-    monkeypatch.setattr(own_modules, "_imported", {})
     found: Any = cli.parse(words, line.split())
     for name in path.split("."):
         found = getattr(found, name)

@@ -12,7 +12,6 @@ from PIL import Image
 
 from mecp_env.cli import log_files
 from mecp_env.cli import main as cli
-from mecp_env.evaluation.log_run import LogDrive
 from mecp_env.floorplans import load_plan
 from mecp_env.slam.map_file import MapError, SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
@@ -239,14 +238,15 @@ def test_options_that_contradict_each_other(log: Path, kept: Path, tmp_path: Pat
 
 
 def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    step = LogDrive._step
+    step, steps = SlamPipeline.step, []
 
-    def interrupted(self: LogDrive, *args: object) -> object:
-        if len(self.rows) == 20:
+    def interrupted(self: SlamPipeline, *args: object) -> object:
+        steps.append(args)
+        if len(steps) == 20:
             raise KeyboardInterrupt
         return step(self, *args)
 
-    monkeypatch.setattr(LogDrive, "_step", interrupted)
+    monkeypatch.setattr(SlamPipeline, "step", interrupted)
     out, saved = tmp_path / "run", tmp_path / "map.zip"
     assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 130
     assert metrics_of(out)["ended"] == "interrupted"

@@ -3,17 +3,11 @@
 from __future__ import annotations
 
 import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
-from mecp_env import config
 from mecp_env.cli import main as cli
-from mecp_env.core import own_modules
-from mecp_env.policies.registry import EXPLORERS
-from mecp_env.slam.association import ASSOCIATORS
 from mecp_env.slam.config import METHODS
 
 PARTS = """
@@ -38,20 +32,11 @@ Captured = pytest.CaptureFixture[str]
 
 
 @pytest.fixture
-def parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A module of the user in the working directory; what it registers is forgotten in the end."""
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(own_modules, "_imported", {})
-    file = tmp_path / "own_parts_of_a_test.py"
+def parts(own_parts: Path) -> Path:
+    """A module of the user in the working directory."""
+    file = own_parts / "own_parts_of_a_test.py"
     file.write_text(PARTS)
-    yield file
-    sys.modules.pop(file.stem, None)
-    for names, name in ((METHODS.others, "own_associator"), (config.REWARDS.others, "landmarks_seen")):
-        if name in names:
-            names.remove(name)
-    for table, name in ((ASSOCIATORS, "own_associator"), (EXPLORERS, "own_policy")):
-        table.pop(name, None)
+    return file
 
 
 @pytest.mark.usefixtures("parts")

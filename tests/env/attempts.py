@@ -15,6 +15,7 @@ from mecp_env.episode.rewards import TERMS
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.wrappers import GoalActions
+from tests.env.helpers import episode_of, world_of
 
 Array = NDArray[np.float64]
 Drive = Iterator[tuple[float, float]]
@@ -38,7 +39,7 @@ class Episode:
 
     def weigh_up(self, env: MecpEnv) -> None:
         """Record the state at the end."""
-        self.free_m2, self.mapped_m2 = env._true_world.truth.free_cells * CELL_M**2, env._episode.memory.area_m2
+        self.free_m2, self.mapped_m2 = world_of(env).truth.free_cells * CELL_M**2, episode_of(env).memory.area_m2
 
     @property
     def seen_m2(self) -> float:
@@ -69,8 +70,8 @@ def swing(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 def shuttle(env: MecpEnv, rng: np.random.Generator) -> Drive:
     """Through the door of the first room and back."""
-    start = env._true_world.T_world_robot[:2]
-    doors = env._true_world.outline.doors.centre
+    start = world_of(env).T_world_robot[:2]
+    doors = world_of(env).outline.doors.centre
     door = doors[np.argmin(np.hypot(*(doors - start).T))]
     across = np.array([0.0, 1.0]) if abs(door[1] - start[1]) > abs(door[0] - start[0]) else np.array([1.0, 0.0])
     while True:
@@ -88,7 +89,7 @@ def blind(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
     """Scrape along walls to increase uncertainty, and return home to reduce it."""
-    home = env._true_world.T_world_robot[:2].copy()
+    home = world_of(env).T_world_robot[:2].copy()
     while True:
         for step in range(30):
             yield 1.0, 0.6 if step % 10 < 5 else -0.6
@@ -122,7 +123,7 @@ ATTEMPTS: dict[str, Callable[[MecpEnv, np.random.Generator], Drive]] = {
 def go(env: MecpEnv, p_world: Array) -> Drive:
     """Towards a point, until there, or for at most 40 steps."""
     for _ in range(40):
-        x, y, heading = env._true_world.T_world_robot
+        x, y, heading = world_of(env).T_world_robot
         if math.hypot(p_world[0] - x, p_world[1] - y) < 0.25:
             return
         turn = math.remainder(math.atan2(p_world[1] - y, p_world[0] - x) - heading, 2.0 * math.pi)

@@ -21,6 +21,16 @@ def make(**keywords: Any) -> gymnasium.Env:
     return gymnasium.make("mecp_env/Layout-v0", **(SMALL | keywords))
 
 
+def episode_of(env: gymnasium.Env) -> Any:
+    """The state of the episode, with the pipeline; tests look into an environment here alone."""
+    return env.unwrapped._episode
+
+
+def world_of(env: gymnasium.Env) -> Any:
+    """The true world."""
+    return env.unwrapped._true_world
+
+
 def drive(env: gymnasium.Env, steps: int, seed: int = 0) -> list[tuple[Any, ...]]:
     """The results of `steps` steps with fixed random actions; a new episode starts where one ends."""
     rng = np.random.default_rng(seed)

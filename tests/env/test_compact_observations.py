@@ -19,7 +19,7 @@ from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import WAIT
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, make, same
+from tests.env.helpers import IDS, NEEDED, drive, episode_of, make, same
 
 FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
@@ -206,7 +206,7 @@ def budget_in(seen: Any) -> float:
 def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
     env = make(observation="flat").unwrapped
     env.reset(seed=1)
-    episode = env._started()
+    episode = episode_of(env)
     belief = replace(episode.slam_output.belief, pose_cov=np.full((3, 3), np.nan))
     episode.slam_output = replace(episode.slam_output, belief=belief)
     flat = dict(zip(mecp_env.flat_names(env), env.observation(), strict=True))

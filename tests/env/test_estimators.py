@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mecp_env.config import EnvConfig
-from tests.env.helpers import drive, make
+from tests.env.helpers import drive, episode_of, make
 from tests.env.test_goal_actions import explore
 
 
@@ -39,7 +39,7 @@ def test_the_paper_runs_to_the_letter():
 def test_a_filter_that_diverged_cuts_the_episode_short():
     env = make()
     env.reset(seed=1)
-    env.unwrapped._episode.pipeline.divergence.found = True
+    episode_of(env).pipeline.divergence.found = True
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated, info["diverged"]) == (False, True, True)
     assert observation in env.observation_space

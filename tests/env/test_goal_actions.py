@@ -16,7 +16,7 @@ from mecp_env.planning.goal_list import Goal, GoalKind, Goals
 from mecp_env.planning.row_times import RowTimes
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import make, same
+from tests.env.helpers import episode_of, make, same
 from tests.env.test_contract import below
 
 
@@ -145,7 +145,7 @@ def test_an_episode_ends_when_no_goal_is_left():
     for row in rows[:-1]:
         assert row[4]["goals"] > 0
     assert rows[-1][4]["goals"] == 0
-    assert rows[-1][4]["reward_completion"] == pytest.approx(env.unwrapped._episode.memory.area_m2 / 10.0)
+    assert rows[-1][4]["reward_completion"] == pytest.approx(episode_of(env).memory.area_m2 / 10.0)
     assert rows[-1][4]["reward_completion"] > 3.0
 
 
@@ -154,7 +154,7 @@ def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch)
     env = make(actions="goal", layout="paper", max_steps=120)
     policy = BreadthFirst()
     observation, _ = env.reset(seed=1)
-    guard = env.unwrapped._started().pipeline.guard
+    guard = episode_of(env).pipeline.guard
     guard.localised, guard.doubts = False, guard.config.scans
     monkeypatch.setattr(type(guard), "search", lambda *_: None)
     over = terminated = False
@@ -164,7 +164,7 @@ def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch)
         )
     assert not terminated
     assert not info["localised"]
-    assert len(env.unwrapped._started().goal_history.drives) <= 1
+    assert len(episode_of(env).goal_history.drives) <= 1
 
 
 def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
@@ -172,9 +172,9 @@ def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
     rows = explore(env, limit=200)
     assert rows[-1][2]
     base = env.unwrapped
-    inside = to_map(inverse(base._episode.metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
+    inside = to_map(inverse(episode_of(base).metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
     assert labels_at(base.slam_output.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
-    painter = base._episode.pipeline.grid
+    painter = episode_of(base).pipeline.grid
     assert painter.filled == painter.completed  # those of the last room too, though the episode ends with it
     assert base.slam_output.grid is painter.canvas.grid
 
@@ -206,7 +206,7 @@ def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
         env = make(actions="goal", laser=laser)
         env.reset(seed=0)
         before = env.unwrapped.view().T_world_robot.copy()
-        env.unwrapped._started().goals = Goals()
+        episode_of(env).goals = Goals()
         for _ in range(3):
             below(env)._wait()
         moved = env.unwrapped.view().T_world_robot - before
@@ -222,7 +222,7 @@ def test_an_episode_on_a_submap_continues_bit_for_bit():
     observation, _ = env.reset(seed=3)
     for _ in range(60):
         observation, *_ = env.step(policy.act(observation, env.get_wrapper_attr("action_masks")()))
-        landmark_filter = env.unwrapped._episode.pipeline.filter
+        landmark_filter = episode_of(env).pipeline.filter
         if landmark_filter.rest is not None:
             break
     assert landmark_filter.rest is not None
@@ -232,7 +232,7 @@ def test_an_episode_on_a_submap_continues_bit_for_bit():
     other.reset(seed=5)
     other.unwrapped.set_state(state)
     assert same(row, other.step(0))
-    landmark_filter = env.unwrapped._episode.pipeline.filter
+    landmark_filter = episode_of(env).pipeline.filter
     landmark_filter.slot_ids = np.delete(landmark_filter.slot_ids, landmark_filter.slot_ids.argmin())  # a probe
     with pytest.raises(StateError, match="probes"):
         other.unwrapped.set_state(env.unwrapped.get_state())

@@ -13,8 +13,10 @@ from mecp_env.config import EnvConfig, RewardConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.metric_rewards import NEAR_M, MetricMemory, coverage, metric_terms, nearness, start_metrics
 from mecp_env.episode.potentials import BLOCK_CELLS, RewardInputs, expected_correct_m2
-from mecp_env.slam.messages import Belief, Cell, SemanticGrid
+from mecp_env.slam.messages import Cell
 from tests.env.helpers import make
+from tests.env.make import reward_inputs
+from tests.slam.make import belief, grid
 
 FREE_M2 = 50.0
 TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
@@ -83,9 +85,7 @@ def test_expected_correct_area_against_a_plain_twin(seed: int) -> None:
     label = rng.integers(0, 4, (21, 37)).astype(np.uint8)
     origin, side = rng.uniform(-5, 5, 2), 0.1
     p_map, spread = rng.uniform(-5, 5, (6, 2)), rng.uniform(0.001, 0.3, 6)
-    belief = Belief(np.zeros(3), np.eye(3) * 1e-4, np.arange(6), p_map, spread[:, None, None] * np.eye(2))
-    room = np.zeros(label.shape, np.int16)
-    inputs = RewardInputs(belief, SemanticGrid(label, label > 0, room, origin, side, 1))
+    inputs = reward_inputs(belief(p_map=p_map, covs=spread), grid(label, origin=origin))
     expected = 0.0
     for i, j in np.argwhere((label == Cell.FREE) | (label == Cell.DOOR)):
         block = np.array([j // BLOCK_CELLS, i // BLOCK_CELLS]) + 0.5
@@ -115,8 +115,6 @@ def test_a_preset_survives_json(preset: str) -> None:
 
 def inputs_of(share: float | None, budget: float) -> RewardInputs:
     """Inputs with a true coverage, or the belief's."""
-    empty = np.zeros((8, 8), np.uint8)
-    grid = SemanticGrid(empty, empty > 0, np.zeros((8, 8), np.int16), np.zeros(2), 0.5, 1)
-    belief = Belief(np.zeros(3), np.eye(3) * 1e-4, np.arange(0), np.zeros((0, 2)), np.zeros((0, 2, 2)))
     shares = None if share is None else (share, share)
-    return RewardInputs(belief, grid, true_shares=shares, free_area_m2=FREE_M2, budget=budget)
+    empty = grid(np.zeros((8, 8)), resolution_m=0.5)
+    return reward_inputs(belief(), empty, true_shares=shares, free_area_m2=FREE_M2, budget=budget)

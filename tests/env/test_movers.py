@@ -8,7 +8,7 @@ import pytest
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
-from tests.env.helpers import drive, make, same
+from tests.env.helpers import drive, make, same, world_of
 
 BUSY = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.3}, "layout": "paper"}
 
@@ -17,7 +17,7 @@ def test_the_seed_says_what_moves() -> None:
     one, two, other = make(**BUSY), make(**BUSY), make(**BUSY)
     for env, seed in ((one, 1), (two, 1), (other, 2)):
         env.reset(seed=seed)
-    a, b, c = (env.unwrapped._true_world.movers.state for env in (one, two, other))
+    a, b, c = (world_of(env).movers.state for env in (one, two, other))
     assert same(a.pedestrians, b.pedestrians)
     assert not same(a.pedestrians, c.pedestrians)
     assert same(drive(one, 40), drive(two, 40))
@@ -56,10 +56,10 @@ def test_rooms_behind_closed_doors_do_not_count() -> None:
     _, info = env.reset(seed=0)
     assert info["rooms"] == 1
     assert info["doors"] == 0
-    free = env.unwrapped._true_world.truth.free_cells
+    free = world_of(env).truth.free_cells
     open_env = make()
     open_env.reset(seed=0)
-    assert free < 0.7 * open_env.unwrapped._true_world.truth.free_cells
+    assert free < 0.7 * world_of(open_env).truth.free_cells
     assert env.reset(options={"start": (8.0, 3.0, 0.0)})[1]["rooms"] == 1
 
 
@@ -68,7 +68,7 @@ def test_the_summary_tells_how_many_found_room() -> None:
     crowded = {"crowd": {"people": 50}, "clutter": {"movable_boxes": 50, "closed_doors": 1.0, "reachable_share": 0.0}}
     env = make(**crowded)
     env.reset(seed=0)
-    moving, told = env.unwrapped._true_world.movers.state, env.unwrapped.summary()
+    moving, told = world_of(env).movers.state, env.unwrapped.summary()
     assert (told["people"], told["boxes"]) == (len(moving.pedestrians), len(moving.boxes))
     assert 0 < told["people"] + told["boxes"] < 100
     assert (told["closed_doors"], told["rooms"], told["rooms_cut_off"]) == (1, 1, 1)
@@ -111,7 +111,7 @@ def test_pictures_show_what_moves() -> None:
     env.reset(seed=5)
     before = env.render()
     view = env.unwrapped.view()
-    assert len(view.moving) == 4 * 16 + 4 * len(env.unwrapped._true_world.movers.state.boxes)
+    assert len(view.moving) == 4 * 16 + 4 * len(world_of(env).movers.state.boxes)
     for _ in range(5):
         env.step(np.zeros(2, np.float32))
     assert (env.render() != before).any()

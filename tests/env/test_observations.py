@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -18,9 +19,9 @@ from mecp_env.episode.observations import (
     make_space,
     rooms_after_merges,
 )
-from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph, SemanticGrid
-from tests.env.helpers import drive, make
-from tests.slam.tables import table_of
+from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
+from tests.env.helpers import drive, episode_of, make
+from tests.slam import make as carriers
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
 
@@ -109,15 +110,14 @@ def test_the_path_lies_where_the_window_shows_it():
 def belief_of(n: int, rng) -> Belief:
     a = rng.normal(size=(n, 2, 2)) * 0.1
     covs = a @ a.transpose(0, 2, 1) + 1e-4 * np.eye(2)
-    pose = np.array([1.0, -2.0, 2.5])
-    return Belief(pose, np.eye(3) * 1e-3, np.arange(n), rng.uniform(-20, 20, (n, 2)), covs)
+    return carriers.belief((1.0, -2.0, 2.5), rng.uniform(-20, 20, (n, 2)), pose_cov=1e-3, covs=covs)
 
 
 def features_of(n: int) -> FeatureTable:
-    return table_of(n, room=np.arange(n) % 4, kind=np.arange(n) % 3)
+    return carriers.features(n, room=np.arange(n) % 4, kind=np.arange(n) % 3)
 
 
-GRAPH = RoomGraph(0, False, (0, 1, 2), (), (), {3: 1})
+GRAPH = carriers.graph(0, (0, 1, 2), merged={3: 1})
 
 
 def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> np.ndarray:
@@ -165,12 +165,11 @@ def test_saturation_is_cut_and_counted():
 def test_left_out_and_cut_values_are_counted_in_info():
     env = make().unwrapped
     env.reset(seed=1)
-    episode = env._episode
-    output = episode.slam_output
+    episode = episode_of(env)
     far = belief_of(LANDMARKS + 5, np.random.default_rng(0))
     far.p_map[:] = 2.0 * EXTENT_M
     far.covs[:, 0, 0] = 2.0 * COV_MAX
-    object.__setattr__(output, "belief", far)
+    episode.slam_output = replace(episode.slam_output, belief=far)
     episode.pipeline.map.features = features_of(LANDMARKS + 5)
     observation = env.observation()
     assert observation in env.observation_space
@@ -221,7 +220,8 @@ def test_the_trail_grows_and_leaves_out_what_is_near():
 def test_a_window_is_the_same_from_a_part_of_the_grid(size, monkeypatch):
     """Only the cells around the robot are coded; another block size takes another part."""
     rng = np.random.default_rng(3)
-    grid = SemanticGrid(*random_grid(rng, 210, 330), np.array([-4.3, 2.1]), 0.1, 1)
+    label, polygon, room = random_grid(rng, 210, 330)
+    grid = carriers.grid(label, room, polygon, origin=(-4.3, 2.1))
     trail = TravelledPath()
     for _ in range(40):
         x, y = rng.uniform((-9.0, -3.0), (34.0, 28.0))

@@ -22,21 +22,21 @@ from mecp_env.episode.potentials import (
     register_reward,
     t_optimality,
 )
-from mecp_env.slam.messages import Belief, SemanticGrid
+from mecp_env.slam.output import SlamOutput
 from tests.env.helpers import make
+from tests.env.make import reward_inputs
+from tests.slam.make import belief, grid
 
 
 def inputs(
     sigmas: tuple[float, ...] = (0.1, 0.1), known: int = 40, pose: float = 1e-2, diverged: bool = False
 ) -> RewardInputs:
     """Columns of a grid of 8 m by 4 m that are known, from the left, and landmarks at 1 m, 5 m, ... of these sigmas."""
-    label = np.zeros((40, 80), np.uint8)
+    label = np.zeros((40, 80))
     label[:, :known] = 1
-    grid = SemanticGrid(label, label > 0, np.zeros((40, 80), np.int16), np.zeros(2), 0.1, 1)
-    n = len(sigmas)
-    p_map = np.stack([1.0 + 4.0 * np.arange(n), np.full(n, 2.0)], axis=1)
-    covs = np.array([np.eye(2) * sigma**2 for sigma in sigmas]).reshape(-1, 2, 2)
-    return RewardInputs(Belief(np.zeros(3), np.eye(3) * pose**2, np.arange(n), p_map, covs), grid, diverged)
+    p_map = [(1.0 + 4.0 * n, 2.0) for n in range(len(sigmas))]
+    known = belief(p_map=p_map, pose_cov=pose**2, covs=np.square(sigmas))
+    return reward_inputs(known, grid(label), diverged=diverged)
 
 
 def reliability(sigma: float) -> float:
@@ -90,14 +90,17 @@ def test_there_and_back_earns_nothing() -> None:
     """The term is the change of the potential: uncertainty that grows and shrinks again cancels out."""
     env = make(layout="two_rooms", reward={"d_optimality": 1.0, "expected_area": 1.0})
     env.reset(seed=0)
-    before = {f: f(env.unwrapped._reward_inputs(env.unwrapped._started())) for f in (d_optimality, expected_area)}
-    sums = np.zeros(2)
+    before, sums = terms_of(env.unwrapped.slam_output), np.zeros(2)
     for k in range(20):
         *_, info = env.step(np.array([0.5 * (-1) ** (k // 5), 0.0], np.float32))
         sums += info["reward_d_optimality"], info["reward_expected_area"]
-    after = [f(env.unwrapped._reward_inputs(env.unwrapped._started())) - before[f] for f in before]
-    assert sums.tolist() == pytest.approx(after)
+    assert sums.tolist() == pytest.approx(terms_of(env.unwrapped.slam_output) - before)
     assert info["reward_entropy"] == 0.0  # without a weight it is not measured
+
+
+def terms_of(output: SlamOutput) -> np.ndarray:
+    seen = reward_inputs(output.belief, output.grid)
+    return np.array([d_optimality(seen), expected_area(seen)])
 
 
 def landmarks_seen(inputs: RewardInputs) -> float:

@@ -6,7 +6,7 @@ from gymnasium.error import ResetNeeded
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.protocols import FullFilterWarning
-from tests.env.helpers import drive, make, same
+from tests.env.helpers import drive, episode_of, make, same, world_of
 from tests.env.test_goal_actions import explore
 
 BAD_OPTIONS = [
@@ -67,12 +67,12 @@ def test_integers_of_numpy_are_seeds():
 def test_the_start_can_be_given():
     env = make().unwrapped
     env.reset(seed=1)
-    pose = env._true_world.simulation.T_world_robot + np.array([0.3, 0.1, 0.5])
+    pose = env.unwrapped.view().T_world_robot + np.array([0.3, 0.1, 0.5])
     _, info = env.reset(seed=1, options={"start": pose.tolist()})
-    assert np.allclose(env._true_world.simulation.T_world_robot, pose)
+    assert np.allclose(env.unwrapped.view().T_world_robot, pose)
     assert np.allclose(info["truth_pose"], 0.0)  # the map frame is the pose at reset
     env.reset(seed=1)
-    assert not np.allclose(env._true_world.simulation.T_world_robot, pose)  # for one episode only
+    assert not np.allclose(env.unwrapped.view().T_world_robot, pose)  # for one episode only
     assert make(start=tuple(pose)).unwrapped.config.start == tuple(pose)
 
 
@@ -93,17 +93,17 @@ def test_random_starts_are_free_and_follow_the_seed():
     poses = []
     for seed in (1, 2, 1):
         env.reset(seed=seed)
-        poses.append(env._true_world.simulation.T_world_robot)
+        poses.append(env.unwrapped.view().T_world_robot)
     assert same(poses[0], poses[2])
     assert not same(poses[0], poses[1])
     env.reset(seed=1, options={"start": "layout"})
-    assert same(env._true_world.simulation.T_world_robot, env._true_world.outline.starts[0])
+    assert same(env.unwrapped.view().T_world_robot, world_of(env).outline.starts[0])
 
 
 def test_reset_takes_three_scans_at_rest():
     env = make().unwrapped
     observation, info = env.reset(seed=1)
-    assert env._episode.slam_output.step == 3
+    assert env.slam_output.step == 3
     assert info["period"] == 0
     assert info["landmarks"] > 0
     assert observation["goals"][0, 8] == 1.0
@@ -144,7 +144,7 @@ def test_coverage_can_end_an_episode():
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (True, False)
-    assert info["reward_completion"] == pytest.approx(10.0 * env._episode.memory.area_m2 / 100.0)
+    assert info["reward_completion"] == pytest.approx(10.0 * episode_of(env).memory.area_m2 / 100.0)
     assert info["reward_completion"] > 1.0
 
 
@@ -152,8 +152,8 @@ def test_environments_in_one_building_share_its_rasters_and_nothing_that_an_epis
     first, other, far = make().unwrapped, make().unwrapped, make(laser={"max_range_m": 5.0}).unwrapped
     for env in (first, other, far):
         env.reset(seed=1)
-    assert first._true_world.truth is other._true_world.truth
-    assert first._true_world.truth is not far._true_world.truth
+    assert world_of(first).truth is world_of(other).truth
+    assert world_of(first).truth is not world_of(far).truth
     before = other.get_state()
     drive(first, 5)
     assert same(other.get_state(), before)
@@ -164,7 +164,7 @@ def test_doors_that_are_closed_are_open_in_the_next_environment():
     for clutter in ({}, {"closed_doors": 0.5}, {}):
         env = make(layout="paper", clutter=clutter).unwrapped
         env.reset(seed=1)
-        doors.append(len(env._true_world.outline.doors))
+        doors.append(len(world_of(env).outline.doors))
     assert doors[1] < doors[0] == doors[2]
 
 
@@ -172,5 +172,5 @@ def test_paths_of_pedestrians_do_not_pile_up_over_the_episodes_of_a_building():
     env = make(crowd={"people": 2})
     for seed in range(5):
         env.reset(seed=seed)
-        world = env.unwrapped._true_world
+        world = world_of(env)
         assert 0 < len(world._walkways._fields) <= 1 + len(world.movers.state.places)

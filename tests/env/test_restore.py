@@ -14,7 +14,7 @@ from benchmarks import restore
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.slam.map_file import SlamMap
-from tests.env.helpers import drive, make, same
+from tests.env.helpers import drive, episode_of, make, same
 
 FEW = 20
 
@@ -37,7 +37,7 @@ def test_a_door_that_a_wall_fills(tmp_path: Path) -> None:
     env.reset(seed=785)
     env.step(0)
     own = env.unwrapped
-    assert np.isnan(own._started().pipeline.grid.doors.quads).any()
+    assert np.isnan(episode_of(own).pipeline.grid.doors.quads).any()
     state = own.get_state()
     own.set_state(state)
     assert same(own.get_state(), state)
@@ -62,7 +62,7 @@ def test_a_map_that_would_fail_in_a_step_is_refused(path: tuple[str, ...], value
     env = make().unwrapped
     env.reset(seed=1)
     drive(env, 3)
-    pipeline = copy.deepcopy(env._started().pipeline)
+    pipeline = copy.deepcopy(episode_of(env).pipeline)
     owner = pipeline
     for name in path[:-1]:
         owner = getattr(owner, name)

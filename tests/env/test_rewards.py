@@ -9,7 +9,6 @@ from mecp_env.config import RewardConfig
 from mecp_env.episode.potentials import RewardInputs
 from mecp_env.episode.rewards import (
     TERMS,
-    Happened,
     RewardMemory,
     apply_weights,
     events,
@@ -18,8 +17,9 @@ from mecp_env.episode.rewards import (
     new_memory,
     weights_of,
 )
-from mecp_env.slam.messages import Belief, SemanticGrid
-from tests.env.helpers import drive, make
+from tests.env.helpers import drive, episode_of, make, world_of
+from tests.env.make import happened, reward_inputs
+from tests.slam.make import belief, grid
 
 CONFIG = RewardConfig(preset="terms")
 CELL_M2 = 0.25
@@ -27,21 +27,13 @@ SURE, LOST = 1e-4, 1.0  # variances of a pose, m^2 and rad^2
 NO_COVS = np.empty((0, 2, 2))
 
 
-def grid_of(known: int, version: int) -> SemanticGrid:
-    label = np.zeros((10, 10), np.uint8)
-    label.flat[:known] = 1
-    return SemanticGrid(label, label > 0, np.zeros((10, 10), np.int16), np.zeros(2), 0.5, version)
-
-
-def belief_of(pose: float = SURE, landmarks: tuple[float, ...] = (0.01,)) -> Belief:
-    """A pose and landmarks of these variances."""
-    covs = np.array([np.eye(2) * variance for variance in landmarks]).reshape(-1, 2, 2)
-    ids = np.arange(len(landmarks))
-    return Belief(np.zeros(3), np.eye(3) * pose, ids, np.zeros((len(landmarks), 2)), covs)
-
-
-def moment(known: int = 0, version: int = 0, diverged: bool = False, **belief) -> RewardInputs:
-    return RewardInputs(belief_of(**belief), grid_of(known, version), diverged)
+def moment(
+    known: int = 0, version: int = 0, diverged: bool = False, pose: float = SURE, landmarks: tuple[float, ...] = (0.01,)
+) -> RewardInputs:
+    """So many known cells, a pose and landmarks of these variances."""
+    believed = belief(p_map=np.zeros((len(landmarks), 2)), pose_cov=pose, covs=landmarks)
+    label = (np.arange(100) < known).reshape(10, 10)
+    return reward_inputs(believed, grid(label, resolution_m=0.5, version=version), diverged=diverged)
 
 
 def sums(*moments: RewardInputs, config: RewardConfig = CONFIG) -> dict[str, float]:
@@ -166,12 +158,12 @@ def test_events():
     memory = RewardMemory(area_m2=150.0)
     calm = dict.fromkeys(("contact", "contact_share", "lost_share", "completion", "divergence", "lost"), 0.0)
     calm |= {"time": 1.0}
-    assert events(memory, Happened()) == calm
-    hit = Happened(contact=True, diverged=True, max_steps=500)
+    assert events(memory, happened()) == calm
+    hit = happened(contact=True, diverged=True, max_steps=500)
     assert events(memory, hit) == calm | {"contact": 1.0, "contact_share": 0.002, "divergence": 1.0}
-    assert events(memory, Happened(off=True, max_steps=500)) == calm | {"lost_share": 0.002}
-    assert events(memory, Happened(lost_m2=50.0)) == calm | {"lost": 3.5}
-    assert events(memory, Happened(terminated=True))["completion"] == 1.5  # of 100 m^2
+    assert events(memory, happened(off=True, max_steps=500)) == calm | {"lost_share": 0.002}
+    assert events(memory, happened(lost_m2=50.0)) == calm | {"lost": 3.5}
+    assert events(memory, happened(terminated=True))["completion"] == 1.5  # of 100 m^2
 
 
 def test_weights():
@@ -197,14 +189,14 @@ def test_the_area_of_an_episode_telescopes(source):
     env = make(reward={"source": source, "area": 1.0})
     _, info = env.reset(seed=1)
     base = env.unwrapped
-    start = base._episode.memory.area_m2
+    start = episode_of(base).memory.area_m2
     assert start > 5.0
     rows = drive(env, 15)
     gained = sum(row[4]["reward_area"] for row in rows)
-    assert gained == pytest.approx(base._episode.memory.area_m2 - start)
+    assert gained == pytest.approx(episode_of(base).memory.area_m2 - start)
     if source == "truth":
         coverage = rows[-1][4]["coverage"] - info["coverage"]
-        assert gained == pytest.approx(coverage * base._true_world.truth.free_cells * 0.01)
+        assert gained == pytest.approx(coverage * world_of(base).truth.free_cells * 0.01)
 
 
 def test_a_contact_costs():
@@ -221,7 +213,7 @@ def test_a_contact_costs():
 def test_a_filter_that_diverged_completes_nothing():
     env = make(end={"coverage": 0.1}, reward="terms").unwrapped
     env.reset(seed=1)
-    env._episode.pipeline.divergence.found = True
+    episode_of(env).pipeline.divergence.found = True
     _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (False, True)
     assert info["reward_divergence"] == -20.0

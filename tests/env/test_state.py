@@ -13,7 +13,7 @@ from mecp_env.core.snapshot import StateError, decode, encode
 from mecp_env.episode.observations import TravelledPath
 from mecp_env.slam.messages import Cell, CornerKind, FeatureTable
 from mecp_env.world.config import LaserConfig
-from tests.env.helpers import drive, make, same
+from tests.env.helpers import drive, episode_of, make, same
 
 VALUES = [
     None,
@@ -181,7 +181,7 @@ def test_continues_bit_for_bit_from_fifty_random_points():
     for point in range(50):
         drive(env, int(rng.integers(1, 12)), seed=point)
         state = env.get_state()
-        contacts += bool(env._episode.contact)
+        contacts += bool(episode_of(env).contact)
         rows = drive(env, 8, seed=100 + point)
         other.set_state(state)
         assert same(rows, drive(other, 8, seed=100 + point)), point

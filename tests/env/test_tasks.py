@@ -11,6 +11,7 @@ import pytest
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
+from tests.env.helpers import episode_of
 
 HALLS = "mecp_env/ActiveHalls-v0"
 
@@ -107,7 +108,7 @@ def test_an_episode_of_a_task_continues_bit_for_bit_from_its_state() -> None:
 def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
     env = make(max_steps=3, reward="active_terms")
     env.reset(seed=0, options={"building": 0})
-    env.unwrapped._started().pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
+    episode_of(env).pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
     over = False
     while not over:
         *_, terminated, truncated, info = env.step(int(env.unwrapped.goals.kind.tolist().index(WAIT)))
@@ -122,7 +123,7 @@ def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
 def unlocalised(env: gymnasium.Env) -> dict[str, Any]:
     """The observation after a drive during which the filter lost the pose."""
     explored(env, 8)
-    state, shifted = env.unwrapped._started(), False
+    state, shifted = episode_of(env), False
     for _ in range(40):
         if not shifted and state.pipeline.guard.localised:
             state.pipeline.filter.shift_pose(np.array([0.9, -0.7, 0.5]))
@@ -140,8 +141,8 @@ def test_a_drive_ends_when_the_pose_is_searched_for_and_open_floor_is_offered() 
     assert observation["localisation"][1] == 0.0
     assert not len(of_kind(PLACE, observation))
     look = of_kind(LOOK, observation)
-    before = env.unwrapped._true_world.T_world_robot[:2].copy()
+    before = env.unwrapped.view().T_world_robot[:2].copy()
     *_, info = env.step(int(look[0]))
     assert info["event"] in ("reached", "refused")
-    moved = np.hypot(*(env.unwrapped._true_world.T_world_robot[:2] - before))
+    moved = np.hypot(*(env.unwrapped.view().T_world_robot[:2] - before))
     assert moved > 0.3 or info["localised"]

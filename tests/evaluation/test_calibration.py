@@ -10,7 +10,6 @@ import pytest
 
 import mecp_env
 from mecp_env.core.errors import ConfigError, SensorError
-from mecp_env.core.messages import Scan
 from mecp_env.evaluation.calibration import FIELDS, Calibration, calibrate_log
 from mecp_env.evaluation.log_run import config_for, run_log
 from mecp_env.logs.log import Log
@@ -183,7 +182,7 @@ def test_a_log_whose_odometry_says_nothing_takes_the_defaults(log: Log) -> None:
 
 def test_an_invalid_scan_is_refused(log: Log) -> None:
     scans = [log.scan(row) for row in range(100)]
-    scans[3] = Scan(-scans[3].ranges, scans[3].bearings, scans[3].hit, 20.0)
+    scans[3] = replace(scans[3], ranges=-scans[3].ranges)
     with pytest.raises(SensorError, match=r"scan.ranges"):
         mecp_env.calibrate(scans, log.T_odom_robot[:100])
 

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,9 +11,8 @@ from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.correct_coverage import correct_coverage
-from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, DynamicObstacles, GroundTruth
+from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, NO_OBSTACLES, DynamicObstacles, GroundTruth
 from mecp_env.evaluation.map_scores import (
-    _from_doorways,
     distances,
     door_centres,
     doors_found,
@@ -23,12 +23,13 @@ from mecp_env.evaluation.map_scores import (
     rooms_found,
 )
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
-from mecp_env.slam.messages import Belief, Cell, Door, RoomGraph, SemanticGrid
+from mecp_env.slam.messages import Cell
 from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.laser import line_of_sight
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, random_free_pose
-from tests.env.helpers import make
+from tests.env.helpers import episode_of, make
+from tests.slam.make import belief, corners, door, graph, grid, match, output
 
 
 @pytest.fixture(scope="module", params=["two_rooms", "paper"])
@@ -36,22 +37,9 @@ def truth(request):
     return GroundTruth(build_outline(load_layout(request.param)), 30.0)
 
 
-class Report:
-    """Only the fields that the functions under test read."""
-
-    def __init__(self, **parts):
-        self.__dict__.update(parts)
-
-
-class Matched:
-    def __init__(self, ids, decision):
-        self.ids, self.decision = np.array(ids, np.int64), np.array(decision, np.int64)
-
-
 def report_of(step, ids, decision, landmarks):
-    n = len(landmarks)
-    belief = Belief(np.zeros(3), np.eye(3), np.array(landmarks, np.int64), np.zeros((n, 2)), np.zeros((n, 2, 2)))
-    return Report(step=step, match=Matched(ids, decision), belief=belief)
+    known = belief(p_map=np.zeros((len(landmarks), 2)), ids=landmarks)
+    return output(step=step, match=match(ids, decision), belief=known)
 
 
 def test_what_the_robot_sees_is_what_has_a_line_of_sight(truth):
@@ -209,16 +197,17 @@ def test_nees_of_the_pose():
     assert nees(error, np.full((3, 3), np.nan)) == 1e9
 
 
+def nothing_seen(believed):
+    """A step in which no corner was seen."""
+    return output(corners=corners(), match=match([]), belief=believed, graph=graph(), grid=grid(np.zeros((0, 0))))
+
+
 def test_the_pose_error_is_measured_in_the_map_frame(truth):
     start = np.array(truth.outline.starts[0])
     metrics = EpisodeMetrics.begin(truth, start)
-    moved = compose(start, np.array([1.0, 0.5, 3.0]))
-    metrics.T_map_robot = metrics.in_map(moved)
+    moved, seen = compose(start, np.array([1.0, 0.5, 3.0])), nothing_seen(belief((1.03, 0.46, -3.2), pose_cov=0.01))
+    metrics.look(truth, moved, seen)
     assert np.allclose(metrics.T_map_robot, [1.0, 0.5, 3.0])
-    belief = Belief(
-        np.array([1.03, 0.46, -3.2]), np.eye(3) * 0.01, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2))
-    )
-    metrics._compare_pose(belief)
     assert metrics.pose_error_m == pytest.approx(0.05)
     assert metrics.heading_error_rad == pytest.approx(2 * math.pi - 6.2)
 
@@ -239,55 +228,51 @@ def perfect_map(truth, T_world_map, resolution=0.1):
     index[~inside] = 0
     free = truth.free[index[..., 1], index[..., 0]] & inside
     room = np.where(free, truth.room[index[..., 1], index[..., 0]], -1).astype(np.int16)
-    grid = SemanticGrid(free.astype(np.uint8), free, room, origin, resolution, 1)
+    painted = grid(free, room, free, origin=origin, resolution_m=resolution)
     outline = truth.outline
     half = (
         0.5 * outline.doors.width[:, None] * np.stack([-np.sin(outline.doors.normal), np.cos(outline.doors.normal)], 1)
     )
     jambs = np.concatenate([outline.doors.centre - half, outline.doors.centre + half])
     p_jambs = np.array([compose(inverse(T_world_map), np.array([*jamb, 0.0]))[:2] for jamb in jambs]).reshape(-1, 2)
-    n, d = len(p_jambs), len(outline.doors)
-    belief = Belief(np.zeros(3), np.eye(3), np.arange(n), p_jambs, np.zeros((n, 2, 2)))
-    doors = tuple(Door(i, (i, d + i), None, tuple(outline.doors.rooms[i].tolist()), 3) for i in range(d))
-    graph = RoomGraph(0, False, tuple(range(len(outline.rooms))), doors, (), {})
-    return Report(grid=grid, graph=graph, belief=belief)
+    d = len(outline.doors)
+    doors = tuple(door(i, (i, d + i), rooms=tuple(outline.doors.rooms[i].tolist())) for i in range(d))
+    rooms = graph(rooms=tuple(range(len(outline.rooms))), doors=doors)
+    return output(grid=painted, graph=rooms, belief=belief(p_map=p_jambs))
 
 
 @pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
 def test_a_perfect_map_gets_full_marks(truth, T_world_map):
-    output = perfect_map(truth, T_world_map)
-    assert rooms_found(truth, output, T_world_map) == (len(truth.outline.rooms), 0)
-    assert doors_found(truth, output, T_world_map) == (len(truth.outline.doors), 0)
-    assert grid_iou(truth, output.grid, T_world_map) > 0.95
+    perfect = perfect_map(truth, T_world_map)
+    assert rooms_found(truth, perfect, T_world_map) == (len(truth.outline.rooms), 0)
+    assert doors_found(truth, perfect, T_world_map) == (len(truth.outline.doors), 0)
+    assert grid_iou(truth, perfect.grid, T_world_map) > 0.95
 
 
 def test_one_face_of_a_door_in_a_thick_wall_is_that_door(truth):
     """In the double walls of KTH floors, 0.7 m thick, half of the right doors counted as false."""
     doors = truth.outline.doors
-    thick = Report(outline=Report(doors=replace(doors, thickness=np.full(len(doors.thickness), 0.7))))
+    thick = SimpleNamespace(outline=SimpleNamespace(doors=replace(doors, thickness=np.full(len(doors.thickness), 0.7))))
     ahead = np.stack([np.cos(doors.normal), np.sin(doors.normal)], axis=1)
     aside = ahead[:, ::-1] * (1.0, -1.0)
     for offset, found in ((0.35 * ahead, True), (0.6 * ahead, True), (0.7 * ahead, False), (0.35 * aside, False)):
-        far = _from_doorways(thick, doors.centre + offset)
-        assert (np.diag(far) < 0.3).all() == found
+        known = belief(p_map=np.repeat(doors.centre + offset, 2, axis=0))
+        seen = output(belief=known, graph=graph(doors=[door(i, (2 * i, 2 * i + 1)) for i in range(len(doors))]))
+        assert doors_found(thick, seen, np.zeros(3))[0] == found * len(doors)
 
 
 def test_false_doors_and_rooms_are_counted_once(truth):
-    output = perfect_map(truth, np.zeros(3))
-    doors = (
-        *output.graph.doors,
-        Door(99, output.graph.doors[0].jambs, None, (0, 1), 3),
-        Door(98, (900, 901), None, (0, 1), 1),
-    )
-    output.graph = RoomGraph(0, False, output.graph.rooms, doors, (), {})
-    assert doors_found(truth, output, np.zeros(3)) == (len(truth.outline.doors), 2)
-    room = output.grid.room.copy()
+    perfect = perfect_map(truth, np.zeros(3))
+    doors = *perfect.graph.doors, door(99, perfect.graph.doors[0].jambs), door(98, (900, 901))
+    more = replace(perfect, graph=graph(rooms=perfect.graph.rooms, doors=doors))
+    assert doors_found(truth, more, np.zeros(3)) == (len(truth.outline.doors), 2)
+    room = perfect.grid.room.copy()
     room[room == 1] = 0
     rows, cols = np.nonzero(room == 0)
     room[rows[: len(rows) // 4], cols[: len(cols) // 4]] = 77  # one room in two pieces, another one missing
-    grid = SemanticGrid(output.grid.label, output.grid.polygon, room, output.grid.origin, 0.1, 2)
-    graph = RoomGraph(0, False, (*range(len(truth.outline.rooms)), 77, 78), (), (), {})
-    found, false = rooms_found(truth, Report(grid=grid, graph=graph), np.zeros(3))
+    rooms = graph(rooms=(*range(len(truth.outline.rooms)), 77, 78))
+    torn = output(grid=replace(perfect.grid, room=room), graph=rooms)
+    found, false = rooms_found(truth, torn, np.zeros(3))
     assert found < len(truth.outline.rooms) + 1
     assert found + false == len(truth.outline.rooms)  # room 1 and room 78 have no cell
 
@@ -295,11 +280,11 @@ def test_false_doors_and_rooms_are_counted_once(truth):
 def test_the_centre_of_a_room_is_one_of_its_cells():
     room = np.full((20, 20), -1, np.int16)
     room[2:18, 2:5] = room[2:5, 2:18] = 3  # an L: the mean of its cells lies outside
-    grid = SemanticGrid(np.ones((20, 20), np.uint8), room >= 0, room, np.array([10.0, -5.0]), 0.5, 1)
-    (x, y), nothing = room_centres(grid, np.array([3, 4]))
+    painted = grid(np.ones((20, 20)), room, origin=(10.0, -5.0), resolution_m=0.5)
+    (x, y), nothing = room_centres(painted, np.array([3, 4]))
     assert room[int((y + 5.0) / 0.5), int((x - 10.0) / 0.5)] == 3
     assert np.isnan(nothing).all()
-    assert room_centres(grid, np.empty(0, np.int64)).shape == (0, 2)
+    assert room_centres(painted, np.empty(0, np.int64)).shape == (0, 2)
 
 
 def chamfer(room: np.ndarray) -> np.ndarray:
@@ -325,10 +310,10 @@ def test_the_centre_of_a_room_lies_as_deep_in_it_as_any_cell():
         for number in range(4):
             row, column = rng.integers(1, 20, 2)
             room[row : row + rng.integers(4, 18), column : min(column + rng.integers(4, 18), 29)] = number
-        grid = SemanticGrid(np.ones(room.shape, np.uint8), room >= 0, room, np.zeros(2), 1.0, 1)
+        painted = grid(np.ones(room.shape), room, resolution_m=1.0)
         depth = chamfer(room)
         for number in np.unique(room[room >= 0]).tolist():
-            (x, y), *_ = room_centres(grid, np.array([number]))
+            (x, y), *_ = room_centres(painted, np.array([number]))
             assert room[int(y), int(x)] == number
             assert depth[int(y), int(x)] == depth[room == number].max()
 
@@ -347,18 +332,11 @@ def test_pairs_are_the_nearest_of_those_left(seed):
 
 
 def test_the_centre_of_a_door_takes_both_faces():
-    belief = Belief(
-        np.zeros(3),
-        np.eye(3),
-        np.array([4, 7, 9, 2]),
-        np.array([[0, 0], [1, 0], [0, 2], [1, 2.0]]),
-        np.zeros((4, 2, 2)),
-    )
-    doors = (Door(0, (4, 7), (9, 2), (0, 1), 1), Door(1, (4, 7), None, (0, 1), 1), Door(2, (40, 1), None, (0, 1), 1))
-    centres = door_centres(doors, belief)
+    known = belief(p_map=[[0, 0], [1, 0], [0, 2], [1, 2]], ids=[4, 7, 9, 2])
+    centres = door_centres((door(0, (4, 7), (9, 2)), door(1, (4, 7)), door(2, (40, 1))), known)
     assert centres[:2].tolist() == [[0.5, 1.0], [0.5, 0.0]]
     assert np.isnan(centres[2]).all()
-    assert door_centres((), belief).shape == (0, 2)
+    assert door_centres((), known).shape == (0, 2)
 
 
 def test_an_episode_adds_up():
@@ -389,20 +367,19 @@ def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
     at = np.array([corners[0], corners[1] + [0.3, 0.4], corners[1], [1.0, 1.5]])
     metrics.association.features[:3, 0] = 0, 1, 1
     p_map = to_map(inverse(metrics.T_world_map), at)
-    belief = Belief(np.zeros(3), np.eye(3), np.arange(4), p_map, np.zeros((4, 2, 2)))
-    rmse, false = metrics.map_error(truth, belief)
+    known = belief(p_map=p_map)
+    rmse, false = metrics.map_error(truth, known)
     assert rmse == pytest.approx(0.5 / math.sqrt(3.0))
     assert false == 1
-    assert metrics.association.duplicates(belief.ids) == 1
-    far = Belief(np.zeros(3), np.eye(3), np.array([10**6]), p_map[:1], np.zeros((1, 2, 2)))
-    assert metrics.map_error(truth, far) == (0.0, 1)
-    assert EpisodeMetrics.begin(truth, np.zeros(3)).map_error(truth, belief) == (0.0, 4)
+    assert metrics.association.duplicates(known.ids) == 1
+    assert metrics.map_error(truth, belief(p_map=p_map[:1], ids=[10**6])) == (0.0, 1)
+    assert EpisodeMetrics.begin(truth, np.zeros(3)).map_error(truth, known) == (0.0, 4)
 
 
 def test_a_wrong_pose_makes_an_episode_lost_and_its_map_wrong():
     env = make(estimator="slam")
     env.reset(seed=1)
-    pipeline = env.unwrapped._episode.pipeline
+    pipeline = episode_of(env).pipeline
     for _ in range(12):
         env.step(np.array([0.5, 0.3], np.float32))
     assert env.unwrapped.summary()["lost"] is False
@@ -417,20 +394,22 @@ def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_move
     metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
     corner = truth.outline.corners.p_world[0]
     for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
-        metrics._mark_obstacles(truth, place[None])
+        metrics.look(
+            truth, np.array([1.0, 1.0, 0.5]), nothing_seen(belief()), NO_OBSTACLES._replace(walking=place[None])
+        )
     metrics.association.features[3:5, 0] = 0
     at = np.array([(2.0, 2.2), (2.6, 2.0), (2.0, 2.6), corner, corner + 0.05])
     p_map = to_map(inverse(metrics.T_world_map), at)
-    belief = Belief(np.zeros(3), np.eye(3), np.arange(5), p_map, np.zeros((5, 2, 2)))
-    assert metrics.landmarks_on_movers(truth, belief) == 2
-    assert EpisodeMetrics.begin(truth, np.zeros(3)).landmarks_on_movers(truth, belief) == 0
+    known = belief(p_map=p_map)
+    assert metrics.landmarks_on_movers(truth, known) == 2
+    assert EpisodeMetrics.begin(truth, np.zeros(3)).landmarks_on_movers(truth, known) == 0
 
 
 def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
     pose, box, size = np.array([2.0, 2.0, 0.0]), np.array([[2.8, 2.0, 0.0]]), np.array([[0.4, 0.4]])
     at = box_corners(box, size)
     obstacles = DynamicObstacles(moving_faces(np.empty((0, 3)), box, size), at, np.empty((0, 3)))
-    seen = Report(z=np.column_stack([np.hypot(*(at - pose[:2]).T), np.arctan2(at[:, 1] - 2.0, at[:, 0] - 2.0)]))
+    seen = corners(points=at - pose[:2])
     count = len(truth.outline.corners)
     assert sorted(truth.identify(seen, pose, obstacles)) == [-1, -1, count, count + 3]
     assert (truth.identify(seen, pose) == -1).all()
@@ -447,13 +426,14 @@ def with_walls(truth, grid, T_world_map):
 
 @pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
 def test_a_perfect_map_is_correct_and_one_that_slid_off_is_not(truth, T_world_map):
-    floor, grid = truth.floor_and_walls, with_walls(truth, perfect_map(truth, T_world_map).grid, T_world_map)
-    correct = correct_coverage(floor, grid, T_world_map)
-    assert correct > 0.85  # but for the cells that a face crosses
-    assert (
-        correct_coverage(floor, replace(grid, origin=grid.origin + np.array([0.1, 0.0])), T_world_map) > 0.9 * correct
+    floor, whole = truth.floor_and_walls, with_walls(truth, perfect_map(truth, T_world_map).grid, T_world_map)
+    correct, near, far = (
+        correct_coverage(floor, replace(whole, origin=whole.origin + slid), T_world_map)
+        for slid in ((0.0, 0.0), (0.1, 0.0), (2.0, 1.0))
     )
-    assert correct_coverage(floor, replace(grid, origin=grid.origin + np.array([2.0, 1.0])), T_world_map) < 0.3
+    assert correct > 0.85  # but for the cells that a face crosses
+    assert near > 0.9 * correct
+    assert far < 0.3
     assert correct_coverage(floor, perfect_map(truth, T_world_map).grid, T_world_map) == 0.0  # without a wall
 
 
@@ -461,14 +441,14 @@ def test_correct_coverage_is_its_plain_twin(truth):
     rng, T_world_map = np.random.default_rng(0), np.array([1.0, 2.0, 0.4])
     floor = truth.floor_and_walls
     label = rng.choice(4, size=(70, 90), p=(0.2, 0.6, 0.05, 0.15)).astype(np.uint8)
-    grid = SemanticGrid(label, label > 0, np.zeros_like(label, np.int16), np.array([-3.0, -2.5]), 0.13, 1)
-    occupied = grid.origin + (np.argwhere(label == Cell.OCCUPIED)[:, ::-1] + 0.5) * grid.resolution_m
+    drawn = grid(label, origin=(-3.0, -2.5), resolution_m=0.13)
+    occupied = drawn.origin + (np.argwhere(label == Cell.OCCUPIED)[:, ::-1] + 0.5) * drawn.resolution_m
     p_map, walls = (to_map(inverse(T_world_map), p) for p in (floor.p_world, floor.p_walls))
     known = distances(walls, occupied).min(axis=1) <= 0.25
-    free = np.isin(labels_at(grid, p_map), (Cell.FREE, Cell.DOOR))
+    free = np.isin(labels_at(drawn, p_map), (Cell.FREE, Cell.DOOR))
     expected = (free & known[floor.wall]).mean()
     assert 0.01 < expected < 0.9
-    assert correct_coverage(floor, grid, T_world_map) == expected
+    assert correct_coverage(floor, drawn, T_world_map) == expected
     nearest = distances(floor.p_world[:100], floor.p_walls)
     assert np.array_equal(nearest.min(axis=1), nearest[np.arange(100), floor.wall[:100]])
 

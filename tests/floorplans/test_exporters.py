@@ -18,6 +18,7 @@ from mecp_env.floorplans.exporters import FREE, OCCUPIED, UNKNOWN, save_map_serv
 from mecp_env.slam.messages import Cell, SemanticGrid
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline
+from tests.slam import make
 
 
 def believed() -> SemanticGrid:
@@ -30,7 +31,7 @@ def believed() -> SemanticGrid:
     label[40:45, 5:10] = int(Cell.UNKNOWN)
     room = np.full((50, 80), -1, dtype=np.int16)
     room[:, :36], room[:, 36:] = 0, 1
-    return SemanticGrid(label, label == int(Cell.FREE), room, np.array([-3.0, 2.0]), 0.1, 1)
+    return make.grid(label, room, origin=(-3.0, 2.0))
 
 
 def test_a_layout_is_drawn_where_it_stands(tmp_path: Path) -> None:

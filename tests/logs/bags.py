@@ -29,27 +29,27 @@ class BagWriter:
         self.messages.append((received, topic, kind, message))
 
     def scan(self, received: float, ranges: np.ndarray, frame: str = "laser", topic: str = "/scan", t=None) -> None:
-        message = files._scan(self.store, received if t is None else t, ranges)
+        message = files.scan_message(self.store, received if t is None else t, ranges)
         message.header.frame_id = frame
         self.put(received, topic, SCAN, message)
 
     def odometry(self, received: float, pose: np.ndarray, child: str = "base_link") -> None:
-        message = files._odometry(self.store, received, pose)
+        message = files.odometry_message(self.store, received, pose)
         message.child_frame_id = child
         self.put(received, "/odom", ODOMETRY, message)
 
     def frame(self, received: float, parent: str, child: str, pose: np.ndarray, topic: str = "/tf") -> None:
         kinds = self.store.types
         at = kinds["geometry_msgs/msg/Vector3"](float(pose[0]), float(pose[1]), 0.0)
-        transform = kinds["geometry_msgs/msg/Transform"](at, files._turn(self.store, pose[2]))
-        header = files._header(self.store, received, parent)
+        transform = kinds["geometry_msgs/msg/Transform"](at, files.turn_message(self.store, pose[2]))
+        header = files.header_of(self.store, received, parent)
         one = kinds["geometry_msgs/msg/TransformStamped"](header, child, transform)
         self.put(received, topic, FRAMES, kinds["tf2_msgs/msg/TFMessage"]([one]))
 
     def close(self) -> Path:
         pack = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
         ends: dict[str, object] = {}
-        with files._writer(self.path, self.path) as writer:
+        with files.writer_of(self.path, self.path) as writer:
             for received, topic, kind, message in sorted(self.messages, key=lambda one: one[0]):
                 if topic not in ends:
                     ends[topic] = writer.add_connection(topic, kind, typestore=self.store)

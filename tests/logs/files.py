@@ -99,7 +99,7 @@ def write_bag(
     if ros1:
         store.register(get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"))
     folder = path.with_suffix("") if path.suffix in (".db3", ".mcap") else path
-    with _writer(path, folder) as writer:
+    with writer_of(path, folder) as writer:
         topics = dict.fromkeys(scan_topics, "sensor_msgs/msg/LaserScan")
         topics |= {"/odom": "nav_msgs/msg/Odometry"} if odometry else {}
         topics |= {frames: "tf2_msgs/msg/TFMessage"}
@@ -110,16 +110,16 @@ def write_bag(
             writer.write(ends[topic], round(1e9 * stamp), pack(message, topics[topic]))
 
         t, poses, ranges = drive()
-        write(frames, t[0], _frames(store, t[0]))
+        write(frames, t[0], frames_message(store, t[0]))
         for stamp, pose, one in zip(t, poses, ranges, strict=True):
             for topic in scan_topics:
-                write(topic, stamp, _scan(store, stamp, one))
+                write(topic, stamp, scan_message(store, stamp, one))
             if odometry:
-                write("/odom", stamp, _odometry(store, stamp, pose))
+                write("/odom", stamp, odometry_message(store, stamp, pose))
     return next(folder.glob(f"*{path.suffix}")) if folder != path else path
 
 
-def _writer(path: Path, folder: Path):
+def writer_of(path: Path, folder: Path):
     from rosbags import rosbag1, rosbag2
 
     if path.suffix == ".bag":
@@ -128,36 +128,36 @@ def _writer(path: Path, folder: Path):
     return rosbag2.Writer(folder, version=8, storage_plugin=plugin)
 
 
-def _header(store, stamp: float, frame: str):
+def header_of(store, stamp: float, frame: str):
     kinds = store.types
     time = kinds["builtin_interfaces/msg/Time"](sec=int(stamp), nanosec=round(1e9 * (stamp % 1.0)))
     sequence = {"seq": 0} if "seq" in kinds["std_msgs/msg/Header"].__annotations__ else {}
     return kinds["std_msgs/msg/Header"](stamp=time, frame_id=frame, **sequence)
 
 
-def _scan(store, stamp: float, ranges: np.ndarray):
+def scan_message(store, stamp: float, ranges: np.ndarray):
     angles = {"angle_min": BEARINGS[0], "angle_max": BEARINGS[-1], "angle_increment": BEARINGS[1] - BEARINGS[0]}
     limits = {"time_increment": 0.0, "scan_time": 0.25, "range_min": 0.1, "range_max": 30.0}
     arrays = {"ranges": ranges.astype(np.float32), "intensities": np.empty(0, np.float32)}
-    return store.types["sensor_msgs/msg/LaserScan"](_header(store, stamp, "laser"), **angles, **limits, **arrays)
+    return store.types["sensor_msgs/msg/LaserScan"](header_of(store, stamp, "laser"), **angles, **limits, **arrays)
 
 
-def _turn(store, heading: float):
+def turn_message(store, heading: float):
     return store.types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(heading / 2), math.cos(heading / 2))
 
 
-def _odometry(store, stamp: float, pose: np.ndarray):
+def odometry_message(store, stamp: float, pose: np.ndarray):
     kinds, cov, zero = store.types, np.zeros(36), store.types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.0)
-    at = kinds["geometry_msgs/msg/Pose"](kinds["geometry_msgs/msg/Point"](*pose[:2], 0.0), _turn(store, pose[2]))
+    at = kinds["geometry_msgs/msg/Pose"](kinds["geometry_msgs/msg/Point"](*pose[:2], 0.0), turn_message(store, pose[2]))
     twist = kinds["geometry_msgs/msg/TwistWithCovariance"](kinds["geometry_msgs/msg/Twist"](zero, zero), cov)
     with_cov = kinds["geometry_msgs/msg/PoseWithCovariance"](at, cov)
-    return kinds["nav_msgs/msg/Odometry"](_header(store, stamp, "odom"), "base_link", with_cov, twist)
+    return kinds["nav_msgs/msg/Odometry"](header_of(store, stamp, "odom"), "base_link", with_cov, twist)
 
 
-def _frames(store, stamp: float):
+def frames_message(store, stamp: float):
     kinds = store.types
     transform = kinds["geometry_msgs/msg/Transform"](
-        kinds["geometry_msgs/msg/Vector3"](*MOUNT[:2], 0.2), _turn(store, 0.0)
+        kinds["geometry_msgs/msg/Vector3"](*MOUNT[:2], 0.2), turn_message(store, 0.0)
     )
-    one = kinds["geometry_msgs/msg/TransformStamped"](_header(store, stamp, "base_link"), "laser", transform)
+    one = kinds["geometry_msgs/msg/TransformStamped"](header_of(store, stamp, "base_link"), "laser", transform)
     return kinds["tf2_msgs/msg/TFMessage"]([one])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 import pickle
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -22,10 +23,9 @@ from mecp_env.planning.controller import (
     seen_points,
 )
 from mecp_env.planning.goal_sources import door_places
-from mecp_env.planning.goals import GoalHistory, GoalKind, find_goals
+from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
 from mecp_env.planning.navigator import Navigator, Outcome, Target, plan_through
 from mecp_env.planning.paths import cost_to_go_field
-from mecp_env.slam.messages import Door
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
 CONTROL, BODY = ControlConfig(), PathsConfig()
@@ -47,7 +47,8 @@ def drive(toy: Toy, target: Target, limit: int = 200) -> Navigator:
 
 def target(toy: Toy, x: float, y: float, kind: GoalKind = GoalKind.OPEN) -> Target:
     """A place; as an open edge nothing but a polygon settles it on the way, and there is none."""
-    return Target(int(kind), to_map(toy.T_map_world, np.array([[x, y]]))[0], toy.current)
+    place = to_map(toy.T_map_world, np.array([[x, y]]))[0]
+    return Target.of(Goals.of([Goal(kind, *place, 1.0, toy.current)]), 0)
 
 
 @pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.0])
@@ -81,7 +82,7 @@ def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_bet
     toy.output()
     output = toy.output()
     door = output.graph.doors[0]
-    towards_b = Door(door.id, door.jambs[::-1], None, (1, -1), door.sightings)
+    towards_b = replace(door, jambs=door.jambs[::-1], other_face=None, rooms=(1, -1))
     into_a = door if door_places([door], output.belief)[0].onward_x < 0.0 else towards_b
     into_b = towards_b if into_a is door else door
     costs = cost_to_go_field(output.grid, output.belief.T_map_robot, BODY)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -20,9 +22,10 @@ from mecp_env.planning.goal_sources import (
 from mecp_env.planning.goals import GoalHistory, GoalKind, Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.levels import door_levels, levels_from, polygon_levels, rings_by_room
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.messages import Belief, Door, EdgeLabel, MapPolygon, RoomGraph
+from mecp_env.slam.messages import EdgeLabel
 from mecp_env.slam.output import SlamOutput
-from tests.toy import Toy, candidate, layer_at
+from tests.slam import make
+from tests.toy import Toy, layer_at
 
 CONFIG = PlanningConfig()
 
@@ -115,10 +118,8 @@ def with_gap(toy: Toy, edge: int) -> SlamOutput:
     gap = np.array(
         [[edge, 0.0, 0.4, EdgeLabel.WALL], [edge, 0.4, 0.6, EdgeLabel.GAP], [edge, 0.6, 1.0, EdgeLabel.WALL]]
     )
-    toy.polygons[:] = [MapPolygon(np.array([0, 1, 2, 3]), gap, 0)]
-    output = toy.output()
-    object.__setattr__(output, "graph", RoomGraph(0, False, (0,), (), (), {}))
-    return output
+    toy.polygons[:] = [make.map_polygon([0, 1, 2, 3], 0, gap)]
+    return replace(toy.output(), graph=make.graph())
 
 
 def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy: Toy) -> None:
@@ -155,9 +156,7 @@ def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy)
     assert found is not None
     assert found.closed
     assert history.find(goals.kind[0], 1, place, 0.5) is None
-    output = toy.output()
-    object.__setattr__(output, "graph", RoomGraph(1, False, (1,), (), (), {0: 1}))
-    history.notice(output)
+    history.notice(replace(toy.output(), graph=make.graph(1, (1,), merged={0: 1})))
     assert history.find(goals.kind[0], 1, place, 0.5) is found
 
 
@@ -188,10 +187,8 @@ def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) 
     room = np.full_like(output.grid.room, -1)  # as if only a patch of room B had its room
     cell = np.floor((to_map(toy.T_map_world, np.array([[7.5, 3.0]]))[0] - output.grid.origin) / 0.1).astype(int)
     room[cell[1], cell[0]] = 1
-    patchy = type(output.grid)(
-        output.grid.label, output.grid.polygon, room, output.grid.origin, output.grid.resolution_m, 99
-    )
-    object.__setattr__(output, "grid", patchy)
+    patchy = replace(output.grid, room=room, version=99)
+    output = replace(output, grid=patchy)
     places = to_map(toy.T_map_world, np.array([[8.0, 1.95], [12.0, 3.0], [5.0, 1.95], [1.0, 1.0]]))
     assert layer_at(patchy, rooms_of_floor(output), places).tolist() == [1, 1, -1, -1]
 
@@ -233,7 +230,7 @@ def test_a_known_room_entered_by_another_door_is_a_goal_until_a_polygon_tells(to
     assert goals.kind[row] == GoalKind.OPEN
     assert in_world(toy, goals.p_map)[row] == pytest.approx([7.6, 1.95])
     assert not settled(Target.of(goals, row), output, CONFIG.goals)
-    object.__setattr__(output, "graph", RoomGraph(3, False, (0, 3), output.graph.doors, (), {1: 3}))
+    output = replace(output, graph=make.graph(3, (0, 3), doors=output.graph.doors, merged={1: 3}))
     assert settled(Target.of(goals, row), output, CONFIG.goals)
     assert GoalKind.OPEN not in find_goals(output, history, CONFIG).kind
 
@@ -298,8 +295,8 @@ def test_levels_count_steps() -> None:
 
 
 def test_rooms_have_the_level_of_the_door_graph() -> None:
-    doors = tuple(Door(i, (0, 1), None, rooms, 3) for i, rooms in enumerate([(0, 1), (1, 2), (0, 3), (3, -1), (5, 2)]))
-    graph = RoomGraph(0, False, (0, 1, 2, 3, 5), doors, (), {4: 2})
+    doors = tuple(make.door(i, rooms=rooms) for i, rooms in enumerate([(0, 1), (1, 2), (0, 3), (3, -1), (5, 2)]))
+    graph = make.graph(0, (0, 1, 2, 3, 5), doors=doors, merged={4: 2})
     assert door_levels(graph, 0) == {0: 0, 1: 1, 3: 1, 2: 2, 5: 3}
 
 
@@ -320,7 +317,7 @@ def test_levels_of_polygons_are_those_of_their_graph(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ids, p_map = rng.permutation(60)[:50], rng.normal(size=(50, 2))  # ten ids are no landmarks
     rings = [rng.choice(60, rng.integers(3, 6), replace=False) for _ in range(40)]
-    belief = Belief(np.zeros(3), np.eye(3), ids, p_map, np.zeros((50, 2, 2)))
+    belief = make.belief(p_map=p_map, ids=ids)
     whole = [ring for ring in rings if set(ring) <= set(ids)]
     assert 3 < len(whole) < 40
     middles = np.array([p_map[[ids.tolist().index(i) for i in ring]].mean(axis=0) for ring in whole])
@@ -357,10 +354,8 @@ def test_goals_of_other_rooms_come_last() -> None:
 
 
 def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) -> None:
-    output = toy.output()
-    gap = candidate(toy.p_map[[4, 5]], 4)
-    object.__setattr__(output, "graph", RoomGraph(0, False, (0,), (), (gap,), {4: 0}))
-    assert candidates(output).room.tolist() == [0]
+    graph = make.graph(candidates=(make.candidate(toy.p_map[[4, 5]], 4),), merged={4: 0})
+    assert candidates(replace(toy.output(), graph=graph)).room.tolist() == [0]
 
 
 def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:

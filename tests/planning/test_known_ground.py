@@ -13,30 +13,20 @@ from mecp_env.planning.config import KnownGroundConfig, PlanningConfig
 from mecp_env.planning.goal_list import PLACE, WAIT, Goal, GoalKind, Goals, Outcome, PlaceKind
 from mecp_env.planning.goals import GoalHistory
 from mecp_env.planning.known_ground import Surroundings, landmark_information, offered_goals
-from mecp_env.slam.messages import Belief, Cell, RoomGraph, SemanticGrid
-
-
-class Report:
-    """Only the fields of a SLAM output that the functions under test read."""
-
-    def __init__(self, **parts: object) -> None:
-        self.__dict__.update(parts)
-
+from mecp_env.slam.messages import Cell
+from mecp_env.slam.output import SlamOutput
+from tests.slam import make
 
 CONFIG = PlanningConfig(known_ground=KnownGroundConfig(places=8, wait_steps=5))
 ROWS = 32
 
 
-def hall(x: float = 10.0, sigma_m: float = 0.1) -> Report:
+def hall(x: float = 10.0, sigma_m: float = 0.1) -> SlamOutput:
     """A robot at (x, 5) in an empty hall of 20 m by 10 m, with two well-known landmarks in a corner."""
     label = np.full((100, 200), int(Cell.FREE), np.uint8)
     label[0] = label[-1] = label[:, 0] = label[:, -1] = int(Cell.OCCUPIED)
-    grid = SemanticGrid(label, label == 1, np.zeros_like(label, np.int16), np.zeros(2), 0.1, 1)
-    covs = np.tile(np.eye(2) * 1e-4, (2, 1, 1))
-    belief = Belief(
-        np.array([x, 5.0, 0.0]), np.eye(3) * sigma_m**2, np.arange(2), np.array([[1.0, 1.0], [1.0, 2.0]]), covs
-    )
-    return Report(grid=grid, belief=belief, graph=RoomGraph(0, False, (0,), (), (), {}), localised=True)
+    belief = make.belief((x, 5.0, 0.0), [[1.0, 1.0], [1.0, 2.0]], pose_cov=sigma_m**2)
+    return make.output(grid=make.grid(label), belief=belief, graph=make.graph())
 
 
 def path(*corners: tuple[float, float]) -> np.ndarray:
@@ -51,9 +41,9 @@ def path(*corners: tuple[float, float]) -> np.ndarray:
 THERE = path((2.0, 2.0), (2.0, 8.0), (10.0, 8.0), (10.0, 5.0))
 
 
-def offered(travelled: np.ndarray = THERE, history: GoalHistory | None = None, goals: Goals | None = None, **changes):
+def offered(travelled: np.ndarray = THERE, history=None, goals: Goals | None = None, output=None, **changes):
     config = CONFIG.model_copy(update={"known_ground": CONFIG.known_ground.model_copy(update=changes)})
-    around = Surroundings(hall(), history or GoalHistory(), travelled)
+    around = Surroundings(output or hall(), history or GoalHistory(), travelled)
     return offered_goals(goals or Goals(), around, config, ROWS)
 
 
@@ -135,8 +125,7 @@ def test_waiting_costs_no_way() -> None:
 def test_before_anything_is_mapped_nothing_is_offered() -> None:
     empty = hall()
     grid = replace(empty.grid, label=np.zeros((0, 0), np.uint8), room=np.zeros((0, 0), np.int16))
-    around = Surroundings(Report(grid=grid, belief=empty.belief), GoalHistory(), THERE[:1])
-    assert offered_goals(Goals(), around, CONFIG, ROWS) is None
+    assert offered(THERE[:1], output=replace(empty, grid=grid)) is None
 
 
 def test_one_by_one_and_back_the_list_is_the_same() -> None:

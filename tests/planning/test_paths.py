@@ -12,20 +12,16 @@ import pytest
 from mecp_env.core import grid_paths
 from mecp_env.planning.config import PathsConfig
 from mecp_env.planning.paths import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import Cell, SemanticGrid
+from mecp_env.slam.messages import Cell
+from tests.slam import make
 from tests.toy import Toy
 
 CONFIG = PathsConfig()
 RADIUS_M = CONFIG.radius_m
 
 
-def grid_of(label: np.ndarray) -> SemanticGrid:
-    room = np.zeros(label.shape, np.int16)
-    return SemanticGrid(label, np.zeros(label.shape, np.bool_), room, np.array([-1.0, 2.0]), 0.1, 1)
-
-
 def costs_from(label: np.ndarray, cell: tuple[int, int]) -> CostToGoField:
-    grid = grid_of(label)
+    grid = make.grid(label, origin=(-1.0, 2.0))
     start = grid.origin + (np.array([cell[1], cell[0]]) + 0.5) * 0.1
     return cost_to_go_field(grid, np.array([*start, 0.3]), CONFIG)
 
@@ -55,7 +51,7 @@ def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
         [0, -1],
     ] = label[:, 20] = Cell.OCCUPIED
     label[8:13, 20] = Cell.DOOR  # five cells: the middle one is three cells from the jambs
-    grid = grid_of(label)
+    grid = make.grid(label, origin=(-1.0, 2.0))
     start, there = np.array([*(grid.origin + 1.0), 0.3]), grid.origin + np.array([3.0, 1.0])
     assert cost_to_go_field(grid, start, CONFIG).nearest(there, 0.3) is None
     costs = cost_to_go_field(grid, start, CONFIG, tight=True)
@@ -63,7 +59,7 @@ def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
     assert cell is not None
     assert costs.path(cell)[-1] == pytest.approx(there, abs=0.1)
     label[[8, 12], 20] = Cell.OCCUPIED  # too narrow for the robot
-    assert cost_to_go_field(grid_of(label), start, CONFIG, tight=True).nearest(there, 0.3) is None
+    assert cost_to_go_field(make.grid(label, origin=(-1.0, 2.0)), start, CONFIG, tight=True).nearest(there, 0.3) is None
 
 
 @pytest.mark.parametrize("seed", range(5))

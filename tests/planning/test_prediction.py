@@ -11,7 +11,8 @@ from mecp_env.planning.config import PathsConfig, PredictionConfig
 from mecp_env.planning.goal_list import Goal, GoalKind
 from mecp_env.planning.paths import cost_to_go_field
 from mecp_env.planning.prediction import correct_pose, drive_on, in_sight, predict, waypoints
-from mecp_env.slam.messages import Belief, Cell, SemanticGrid
+from mecp_env.slam.messages import Cell
+from tests.slam import make
 
 CONFIG = PredictionConfig(distance_sigma_m=0.05, turn_sigma_deg=2.0, turn_m=0.5, max_range_m=3.0)
 CELL_M = 0.1
@@ -52,10 +53,8 @@ def corridor(landmarks: list[tuple[float, float]], sigma_m: float = 0.01, length
     label = np.full((24, length), int(Cell.FREE), np.uint8)
     label[:2] = label[-2:] = int(Cell.OCCUPIED)
     label[:, :2] = label[:, -2:] = int(Cell.OCCUPIED)
-    grid = SemanticGrid(label, label == 1, np.zeros_like(label, np.int16), np.array([0.0, -1.2]), CELL_M, 1)
-    n = len(landmarks)
-    covs = np.tile(np.eye(2) * sigma_m**2, (n, 1, 1))
-    belief = Belief(np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-6, np.arange(n), np.array(landmarks).reshape(-1, 2), covs)
+    grid = make.grid(label, origin=(0.0, -1.2), resolution_m=CELL_M)
+    belief = make.belief((1.0, 0.0, 0.0), landmarks, covs=sigma_m**2)
     return cost_to_go_field(grid, belief.T_map_robot, PathsConfig()), belief
 
 

@@ -340,7 +340,7 @@ def test_ctrl_c_before_the_first_episode_is_one_line(
     def interrupted(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Evaluate, "_check", interrupted)
+    monkeypatch.setattr(Evaluation, "kept", interrupted)
     assert evaluate(tmp_path) == 130
     assert capsys.readouterr().err == "mecp-env: interrupted\n"
 

@@ -14,8 +14,9 @@ from mecp_env.render import shapes
 from mecp_env.render.figures import map_figure, save
 from mecp_env.render.stages import stage_figures
 from mecp_env.render.view import summary
-from mecp_env.slam.messages import Clusters, EdgeLabel, Polygon
+from mecp_env.slam.messages import EdgeLabel
 from tests.render import scene
+from tests.slam import make
 
 
 def words(figure: Figure) -> str:
@@ -34,7 +35,7 @@ def test_the_map_names_its_rooms_and_figures_and_is_written_twice_the_same(tmp_p
 
 def test_the_map_of_an_empty_belief_is_drawn(tmp_path: Path) -> None:
     output = scene.output()
-    belief = replace(output.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
+    belief = make.belief(output.belief.T_map_robot, pose_cov=output.belief.pose_cov)
     graph = replace(output.graph, doors=(), candidates=())
     view = scene.view(slam_output=replace(output, belief=belief, map_polygons=(), graph=graph))
     save(map_figure(view), tmp_path / "map.png", dpi=40)
@@ -43,9 +44,8 @@ def test_the_map_of_an_empty_belief_is_drawn(tmp_path: Path) -> None:
 
 def test_one_picture_a_stage() -> None:
     edges = np.array([[0, 0.0, 0.5, EdgeLabel.WALL], [0, 0.5, 1.0, EdgeLabel.GAP], [1, 0.0, 1.0, EdgeLabel.OPEN]])
-    output = replace(scene.output(), polygons=(Polygon(np.array([0, 1, 2]), edges),), corners=scene.corners())
-    clusters = Clusters(0, np.array([0, 300]), np.array([299, 719]), np.zeros(2, np.int64))
-    figures = stage_figures(output, clusters)
+    output = replace(scene.output(), polygons=(make.polygon([0, 1, 2], edges),), corners=scene.corners())
+    figures = stage_figures(output, make.clusters([0, 300], [299, 719]))
     assert list(figures) == ["scan", "clusters", "segments", "corners", "polygon", "association"]
     assert all(figure.axes[0].lines for figure in figures.values())
 

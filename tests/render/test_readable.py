@@ -25,11 +25,12 @@ from mecp_env.render.figures import map_figure
 from mecp_env.render.legends import drawn
 from mecp_env.render.plan_figures import plans_figure
 from mecp_env.render.stages import DECISIONS, KINDS, stage_figures
-from mecp_env.slam.messages import Clusters, EdgeLabel, Polygon
+from mecp_env.slam.messages import EdgeLabel
 from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.layout import load_layout
 from tests.render import scene
 from tests.render.contrast import contrast
+from tests.slam import make
 
 ROOT = Path(__file__).parents[2]
 PAGE_PX, LEAST_PX = 736.0, 8.0  # width of the text of a page of the site
@@ -57,10 +58,9 @@ def legend_of(figure: Figure) -> list[str]:
 
 
 def stages() -> dict[str, Figure]:
-    edges = np.array([[0, 0.0, 0.5, EdgeLabel.WALL], [1, 0.0, 1.0, EdgeLabel.OPEN]])
-    triangle = Polygon(np.array([0, 1, 2]), edges)
+    triangle = make.polygon([0, 1, 2], [[0, 0.0, 0.5, EdgeLabel.WALL], [1, 0.0, 1.0, EdgeLabel.OPEN]])
     output = replace(scene.output(), polygons=(triangle, triangle), corners=scene.corners())
-    return stage_figures(output, Clusters(0, np.array([0, 300]), np.array([299, 719]), np.zeros(2, np.int64)))
+    return stage_figures(output, make.clusters([0, 300], [299, 719]))
 
 
 def pixels(figure: Figure) -> Array:

@@ -21,6 +21,12 @@ from mecp_env.world.simulation import Simulation
 THROUGH_THE_DOOR = ((2.0, 1.8), (4.2, 1.8), (6.0, 1.8), (7.5, 3.5), (7.5, 1.5), (5.8, 1.8), (4.0, 1.8), (2.5, 4.0))
 
 
+def fed(pipeline, drive, first=0, last=None):
+    """The SLAM output of each scan of a drive, which are given to a pipeline one by one."""
+    for odometry, scan in zip(drive.odometry[first:last], drive.scans[first:last], strict=True):
+        yield pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+
+
 @dataclass
 class Drive:
     outline: object
@@ -31,8 +37,7 @@ class Drive:
     def run(self, config: SlamConfig):
         """The SLAM output and the true corner of each corner, scan by scan."""
         pipeline = SlamPipeline(config)
-        for odometry, scan, pose in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
-            output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+        for output, pose in zip(fed(pipeline, self), self.T_world_robot, strict=True):
             T_world_laser = compose(pose, config.sensor.T_robot_laser)
             true = true_correspondences(T_world_laser, self.outline)(output.corners)
             yield pipeline, output, true, self._error(output, pose)

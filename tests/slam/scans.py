@@ -6,15 +6,15 @@ import math
 
 import numpy as np
 
-from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
+from tests.slam import make
+from tests.slam.make import MAX_RANGE_M, nominal_bearings
 
-MAX_RANGE_M = 30.0
 PAPER = SensorModel()
 EXACT = SensorModel(range_sigma_m=0.0, bearing_sigma_deg=0.0)
 LMS200 = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0)
@@ -37,12 +37,6 @@ def turned(faces, angle):
     return faces @ np.array([[c, s], [-s, c]])
 
 
-def nominal_bearings(sweeps=4, beams=720):
-    """(K,B) as the laser has them: ascending in each sweep in (-pi, pi]."""
-    step = 2.0 * math.pi / (sweeps * beams)
-    return (-math.pi + step * np.arange(1, sweeps * beams + 1)).reshape(beams, sweeps).T.copy()
-
-
 def cast(faces, bearings):
     """Exact range of each ray from the origin, inf where there is none."""
     d = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)[..., None, :]
@@ -61,14 +55,12 @@ def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720, max_range_m=MAX_
     ranges = cast(faces, bearings + rng.normal(0.0, 1.0, bearings.shape) * sensor.bearing_sigma_rad)
     sigma_m = np.maximum(sensor.range_sigma_m, sensor.range_sigma_share * np.minimum(ranges, max_range_m))
     ranges = ranges + rng.normal(0.0, 1.0, bearings.shape) * sigma_m
-    hit = ranges < max_range_m
-    return Scan(np.where(hit, ranges, max_range_m), bearings, hit, max_range_m)
+    return make.scan(ranges, bearings, max_range_m=max_range_m)
 
 
 def blank_scan(sweeps=4, beams=720):
     """A burst that hit nothing."""
-    bearings = nominal_bearings(sweeps, beams)
-    return Scan(np.full(bearings.shape, MAX_RANGE_M), bearings, np.zeros(bearings.shape, dtype=bool), MAX_RANGE_M)
+    return make.scan(np.full((sweeps, beams), MAX_RANGE_M))
 
 
 def front_end(scan, sensor=PAPER, config=None):

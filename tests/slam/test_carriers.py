@@ -14,17 +14,14 @@ from mecp_env.core.linalg import downdate
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore, are_whole, groups_of, link, without_doubles
-from mecp_env.slam.messages import Corners, Decision, Door, Doorways, FeatureState, MapPolygon, Match, Reason
-from tests.slam.tables import table_of
+from mecp_env.slam.messages import Decision, FeatureState, Reason
+from tests.slam import make
 
 
 def corners_of(rng, n):
     A = rng.normal(size=(2 * n, 2 * n))
     z = np.column_stack((rng.uniform(1.0, 5.0, n), rng.uniform(-3.0, 3.0, n)))
-    kinds, gaps = np.zeros(n, np.int64), np.full(n, -1, np.int64)
-    none = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
-    flags = np.zeros(n, np.bool_)
-    return Corners(z, A @ A.T, kinds, flags, np.zeros((n, 2)), gaps, ~flags, none)
+    return make.corners(z, cov=A @ A.T)
 
 
 def test_measurements_are_rows_and_blocks():
@@ -37,8 +34,7 @@ def test_measurements_are_rows_and_blocks():
 
 
 def test_recognised_corners_are_those_with_a_landmark():
-    decision = np.array([int(Decision.NEW), int(Decision.LANDMARK), int(Decision.IGNORED), int(Decision.LANDMARK)])
-    match = Match(np.arange(4), decision, np.zeros(4, np.int64), np.zeros(4), -1, -1)
+    match = make.match(range(4), [Decision.NEW, Decision.LANDMARK, Decision.IGNORED, Decision.LANDMARK])
     assert match.recognised().tolist() == [1, 3]
 
 
@@ -56,7 +52,7 @@ def test_a_carrier_is_made_and_copied_as_a_dataclass_is():
     assert (part.a, part.b, part.c) == (1, [1], 3)
     assert part.b is not Part(1).b
     assert replace(part, a=2).a == 2
-    assert pickle.loads(pickle.dumps(Door(1, (2, 3), None, (0, 1), 5))).rooms == (0, 1)
+    assert pickle.loads(pickle.dumps(make.door(rooms=(0, 1)))).rooms == (0, 1)
     with pytest.raises(TypeError, match="unexpected keyword"):
         Part(1, d=2)
 
@@ -94,7 +90,7 @@ def test_downdate_with_and_without_a_margin(n, rows):
 
 
 def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
-    ids, rows = np.array([8, 3, 5, -1, 3]), table_of(9, room=[0, 0, 0, 1, 0, 1, 0, 0, 1]).rows
+    ids, rows = np.array([8, 3, 5, -1, 3]), make.features(9, room=[0, 0, 0, 1, 0, 1, 0, 0, 1]).rows
     intervals = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.5, 0.0], [1.0, 0.5, 1.0, 2.0], [2.0, 0.0, 1.0, 1.0]])
 
     def linked(corners, current):
@@ -110,11 +106,11 @@ def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
 
 def polygons_of(rings):
     """Polygons whose room is their number."""
-    return [MapPolygon(np.array(ring), np.empty((0, 4)), room, 1, 0) for room, ring in enumerate(rings)]
+    return [make.map_polygon(ring, room) for room, ring in enumerate(rings)]
 
 
 def test_a_polygon_is_whole_while_its_vertices_live_in_its_room():
-    features = table_of(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0])
+    features = make.features(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0])
     store = MapPolygonStore(10, polygons_of([[0, 1], [0, 2], [0, 3], [1, 1]]), outdated=True)
     store.prune(features, lambda room: 0)
     assert [polygon.ids.tolist() for polygon in store.polygons] == [[0, 1]]
@@ -130,7 +126,7 @@ def test_whole_polygons_are_found_as_vertex_by_vertex():
     dead = int(FeatureState.DEAD)
     wanted = [ring for i, ring in enumerate(rings) if all(state[v] != dead and room[v] == now[i] for v in ring)]
     polygons = polygons_of(rings)
-    rooms, features = np.array(list(now.values())), table_of(40, state=state, room=room)
+    rooms, features = np.array(list(now.values())), make.features(40, state=state, room=room)
     kept = list(compress(polygons, are_whole(groups_of(polygons), rooms, features)))
     assert [polygon.ids.tolist() for polygon in kept] == wanted
     assert 10 < len(wanted) < 290

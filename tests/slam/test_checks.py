@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.checks import (
     Fault,
@@ -21,8 +20,9 @@ from mecp_env.slam.checks import (
     look_over,
 )
 from mecp_env.slam.messages import Decision, Reason
+from tests.slam import make
+from tests.slam.make import MAX_RANGE_M
 
-MAX_RANGE_M = 30.0
 DAMAGE = (math.nan, math.inf, -math.inf, -1e-9, 0.0, MAX_RANGE_M, 30.1, -math.pi, math.pi, 3.2, -3.2)
 
 
@@ -71,9 +71,9 @@ def test_odometry_is_looked_over():
 @pytest.mark.parametrize("block", [[[1.0, 0.5], [0.4, 1.0]], [[1.0, 1.1], [1.1, 1.0]], [[0.0, 1e-6], [1e-6, 1.0]]])
 def test_a_covariance_that_is_not_symmetric_and_positive_is_refused(block):
     sound = [[1.0, 0.5], [0.5, 1.0]]
-    check_odometry(Odometry(np.zeros((2, 2)), np.array([sound, np.zeros((2, 2))]), False))
+    check_odometry(make.odometry(np.zeros((2, 2)), cov=[sound, np.zeros((2, 2))]))
     with pytest.raises(SensorError, match=r"odometry.cov: not symmetric, or not positive"):
-        check_odometry(Odometry(np.zeros((2, 2)), np.array([sound, block]), False))
+        check_odometry(make.odometry(np.zeros((2, 2)), cov=[sound, block]))
 
 
 @pytest.mark.parametrize(
@@ -86,7 +86,7 @@ def test_a_covariance_that_is_not_symmetric_and_positive_is_refused(block):
     ],
 )
 def test_a_scan_of_another_type_is_refused(field, change, told):
-    scan = Scan(np.ones((1, 3)), np.array([[-1.0, 0.0, 1.0]]), np.ones((1, 3), np.bool_), MAX_RANGE_M)
+    scan = make.scan(np.ones((1, 3)))
     check_scan(scan)
     with pytest.raises(SensorError, match=told):
         check_scan(replace(scan, **{field: change(getattr(scan, field))}))

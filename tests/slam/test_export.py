@@ -16,9 +16,9 @@ from mecp_env.cli.main import main
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.config import SensorModel
-from mecp_env.slam.messages import Belief, Door, SemanticGrid
 from mecp_env.slam.outlines import area, door_outline, room_outline
-from tests.slam.drives import scripted_drive
+from tests.slam import make
+from tests.slam.drives import fed, scripted_drive
 
 FILES = {"landmarks": "x.csv", "rooms": "x.geojson", "g2o": "x.g2o", "grid": "x.yaml"}
 
@@ -28,8 +28,7 @@ def mapped() -> tuple[SlamPipeline, SlamOutput]:
     """A drive through two rooms."""
     drive = scripted_drive()
     pipeline = SlamPipeline()
-    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    *_, output = fed(pipeline, drive)
     return pipeline, output
 
 
@@ -129,7 +128,7 @@ def test_a_pipe_is_written_to_and_stays(mapped: tuple[SlamPipeline, SlamOutput])
 def test_the_outline_of_any_cells_is_their_union(seed: int) -> None:
     rng = np.random.default_rng(seed)
     room = np.where(rng.random((9, 13)) < rng.uniform(0.2, 0.9), 0, -1).astype(np.int16)
-    parts = room_outline(grid_of(room), 0)
+    parts = room_outline(make.grid(room >= 0, room, origin=(1.0, -2.0), resolution_m=0.5), 0)
     polygons = [shapely.Polygon(rings[0], rings[1:]) for rings in parts]
     assert all(polygon.is_valid for polygon in polygons)
     assert all(area(rings[0]) > 0.0 and all(area(hole) < 0.0 for hole in rings[1:]) for rings in parts)
@@ -138,17 +137,11 @@ def test_the_outline_of_any_cells_is_their_union(seed: int) -> None:
     assert sum(polygon.area for polygon in polygons) == pytest.approx(0.25 * len(cells))
 
 
-def grid_of(room: np.ndarray) -> SemanticGrid:
-    label = np.zeros(room.shape, np.uint8)
-    return SemanticGrid(label, label > 0, room, np.array([1.0, -2.0]), 0.5, 1)
-
-
 @pytest.mark.parametrize("faces", [1, 2])
 @pytest.mark.parametrize("turn", [0.0, 0.7, 2.0])
 def test_the_outline_of_a_door(faces: int, turn: float) -> None:
     across = np.array([[math.cos(turn), math.sin(turn)], [-math.sin(turn), math.cos(turn)]])
     points = np.array([[0.0, 0.0], [0.9, 0.0], [0.0, 0.2], [0.9, 0.2]]) @ across
-    belief = Belief(np.zeros(3), np.eye(3), np.arange(4), points, np.tile(np.eye(2), (4, 1, 1)))
-    ring = door_outline(belief, Door(5, (0, 1), (2, 3) if faces == 2 else None, (0, 1), 3), 0.1)
+    ring = door_outline(make.belief(p_map=points), make.door(other_face=(2, 3) if faces == 2 else None), 0.1)
     assert area(ring) == pytest.approx(0.9 * (0.2 if faces == 2 else 0.1))
     assert shapely.Polygon(ring).is_valid

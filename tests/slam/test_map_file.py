@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,7 +29,7 @@ from mecp_env.slam.messages import FeatureState
 from mecp_env.slam.protocols import FilterError
 from tests.env.helpers import same
 from tests.env.test_state_fuzz import PARTS, mutate, nodes
-from tests.slam.drives import Drive, scripted_drive
+from tests.slam.drives import Drive, fed, scripted_drive
 
 MUTATED, CHANGED = 600, 60  # files with changed bytes, and maps with changed fields, in the fuzz tests
 CONFIGS: dict[str, dict[str, Any]] = {
@@ -56,8 +57,7 @@ def saved(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def run(pipeline: SlamPipeline, drive: Drive, first: int, last: int) -> list[Any]:
     """The outputs on a part of the drive."""
-    steps = zip(drive.odometry[first:last], drive.scans[first:last], strict=True)
-    return [pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan) for odometry, scan in steps]
+    return list(fed(pipeline, drive, first, last))
 
 
 @pytest.mark.parametrize("name", CONFIGS)
@@ -217,8 +217,8 @@ def test_a_map_holds_the_parts_that_its_configuration_names(drive: Drive) -> Non
         SlamMap.of(SlamPipeline(filter=OtherFilter(config.filter)))
 
 
-def changed(slam_map: SlamMap, path: str, value: Any) -> Any:
-    """The data of a map with another value of a field of the pipeline; `...` leaves it out."""
+def changed(slam_map: SlamMap, path: str, value: Any) -> SlamMap:
+    """A map with another value of a field of the pipeline; `...` leaves it out."""
     state = copy.deepcopy(slam_map.state)
     *parents, name = path.split(".")
     fields = state["@object"][1]
@@ -227,7 +227,7 @@ def changed(slam_map: SlamMap, path: str, value: Any) -> Any:
     fields[name] = value
     if value is ...:
         del fields[name]
-    return state
+    return replace(slam_map, state=state)
 
 
 @pytest.mark.parametrize(
@@ -249,7 +249,7 @@ def test_a_damaged_map_names_the_file_and_the_field(
     path: str, value: Any, message: str, saved: Path, tmp_path: Path
 ) -> None:
     file = tmp_path / "other.zip"
-    SlamMap(changed(SlamMap.load(saved), path, value)).save(file)
+    changed(SlamMap.load(saved), path, value).save(file)
     with pytest.raises(MapError, match=rf"other\.zip: .*{message}"):
         SlamPipeline.from_map(file)
 
@@ -281,7 +281,7 @@ def test_a_map_whose_associator_is_not_registered_here_says_so(saved: Path, tmp_
     made = SlamConfig(association={"method": "of_another_process"})
     METHODS.others.remove("of_another_process")
     file = tmp_path / "other.zip"
-    SlamMap(changed(SlamMap.load(saved), "config", encode(made))).save(file)
+    changed(SlamMap.load(saved), "config", encode(made)).save(file)
     with pytest.raises(MapError, match=r"other\.zip: .*association\.method: .*'of_another_process'"):
         SlamPipeline.from_map(file)
 
@@ -316,13 +316,13 @@ def test_mutated_files_end_in_one_error_or_load_an_equal_map(saved: Path, tmp_pa
 
 def test_maps_with_changed_fields_end_in_one_error_or_run(drive: Drive, saved: Path) -> None:
     """As those of environments in `tests.env.test_state_fuzz`, by the same changes."""
-    whole, refused = SlamMap.load(saved).state, 0
-    known = nodes(dict.fromkeys(PARTS, whole))
+    whole, refused = SlamMap.load(saved), 0
+    known = nodes(dict.fromkeys(PARTS, whole.state))
     for seed in range(CHANGED):
-        state = copy.deepcopy(whole)
+        state = copy.deepcopy(whole.state)
         mutate(dict.fromkeys(PARTS, state), known, np.random.default_rng(seed))
         try:
-            pipeline = SlamPipeline.from_map(SlamMap(state))
+            pipeline = SlamPipeline.from_map(replace(whole, state=state))
         except MapError:
             refused += 1
             continue

@@ -3,9 +3,6 @@
 from __future__ import annotations
 
 import importlib
-import re
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -17,14 +14,15 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks import __main__ as command
 from benchmarks import association as benchmark
-from mecp_env.core import own_modules
 from mecp_env.core.errors import ConfigError
 from mecp_env.evaluation.part_checks import check_associator, check_filter
-from mecp_env.slam import association, config, filters, mecp
+from mecp_env.slam import config
 from mecp_env.slam.association import register_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Ekf, RightInvariantEkf, register_filter
 from mecp_env.slam.pipeline import SlamPipeline
+from tests.command_lines import written_modules
+from tests.env.helpers import episode_of
 from tests.slam.drives import scripted_drive
 
 PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
@@ -36,21 +34,10 @@ OWN = {
 
 
 @pytest.fixture
-def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, ModuleType]]:
+def own(own_parts: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
     """The modules of the page, imported; their registrations are removed afterwards."""
-    code = re.findall(r'```python\n("""(\w+)\.py""".*?)```', PAGE.read_text(), re.DOTALL)
-    for text, name in code:
-        (tmp_path / f"{name}.py").write_text(text)
-    monkeypatch.syspath_prepend(tmp_path)
-    monkeypatch.setattr(own_modules, "_imported", {})
-    yield {name: importlib.import_module(name) for _, name in code}
-    registries = (config.METHODS, association.ASSOCIATORS), (config.KINDS, filters.FILTERS)
-    for names, makers in (*registries, (config.STRUCTURE_NAMES, mecp.STRUCTURES)):
-        for name in names.others:
-            del makers[name]
-        names.others.clear()
-    for _, name in code:
-        del sys.modules[name]
+    monkeypatch.syspath_prepend(own_parts)
+    return {name: importlib.import_module(name) for name in written_modules(own_parts)}
 
 
 def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[str, ModuleType]) -> None:
@@ -58,7 +45,7 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
     env.reset(seed=1)
     for _ in range(20):
         env.step(np.array([0.5, 0.1]))
-    pipeline = env._episode.pipeline
+    pipeline = episode_of(env).pipeline
     assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
     assert type(pipeline.filter) is own["plain_ekf"].PlainEkf
     assert len(env.slam_output.belief.ids) > 5

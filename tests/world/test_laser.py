@@ -11,6 +11,7 @@ import pymunk
 import pytest
 import shapely
 from numpy.typing import NDArray
+from scipy.stats import norm
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.world import laser as module
@@ -66,30 +67,24 @@ def test_rays_agree_with_pymunk(outline: Outline) -> None:
             assert ranges[i] == pytest.approx(40.0 * hit.alpha, abs=1e-6)
 
 
-def all_normals() -> NDArray[np.float32]:
-    """The quantiles of the whole normal."""
-    upper = module._normal_quantiles()
-    return np.concatenate((-upper[::-1], upper))
+def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
+    """(2,N) the numbers of quantiles that the noise of N bearings and ranges is."""
+    return rng.integers(module.QUANTILES, size=(2, count), dtype=np.uint16)
 
 
-def test_every_draw_is_its_quantile_of_the_normal() -> None:
-    normals, upper = all_normals(), module._normal_quantiles()
-    assert [module._normal(upper, np.uint16(draw)) for draw in (0, 1, 32_767, 32_768, 65_535)] == [
-        normals[draw] for draw in (0, 1, 32_767, 32_768, 65_535)
-    ]
-    assert (np.diff(normals) >= 0.0).all()
-    assert normals.std() == pytest.approx(1.0, abs=1e-3)
+def bearing_noise(seed: int, count: int) -> NDArray[np.float32]:
+    """(N,) standard normal, cut at 4 sigma."""
+    quantiles = (draws(np.random.default_rng(seed), count)[0] + 0.5) / module.QUANTILES
+    return np.clip(norm.ppf(quantiles), -4.0, 4.0).astype(np.float32)
 
 
 def test_noisy_rays_are_cast_where_they_point(outline: Outline) -> None:
     """With large bearing noise every beam has the range of its true direction: no face is missed at its ends."""
     laser = Laser(outline, LaserConfig(**SLANTED, sweeps=2))
-    normals = all_normals()
     for seed, pose in enumerate(poses(outline, 20, seed=2)):
         scan = laser.scan(pose, np.random.default_rng(seed))
-        draws = laser._draw(np.random.default_rng(seed))[0].reshape(-1, 2).T
-        for sweep in range(2):
-            true_bearings = scan.bearings[sweep] + 0.03 * normals[draws[sweep]]
+        for sweep, noise in enumerate(bearing_noise(seed, 1440).reshape(-1, 2).T):
+            true_bearings = scan.bearings[sweep] + 0.03 * noise
             np.testing.assert_allclose(
                 scan.ranges[sweep], brute_force(outline.segments, pose, true_bearings), rtol=1e-6
             )
@@ -116,7 +111,7 @@ def test_noisy_rays_at_the_ends_of_the_view_are_cast_where_they_point(
     laser = Laser(outline, LaserConfig(**SLANTED, sweeps=1, beams=90, field_of_view_deg=200.0))
     for seed, pose in enumerate(poses(outline, 20, seed=9)):
         scan = laser.scan(pose, np.random.default_rng(seed))
-        true_bearings = scan.bearings[0] + 0.03 * all_normals()[laser._draw(np.random.default_rng(seed))[0]]
+        true_bearings = scan.bearings[0] + 0.03 * bearing_noise(seed, 90)
         np.testing.assert_allclose(scan.ranges[0], brute_force(outline.segments, pose, true_bearings), rtol=1e-6)
 
 
@@ -250,12 +245,12 @@ def test_the_same_seed_gives_the_same_bits(paper: Outline) -> None:
 @pytest.mark.parametrize(("sweeps", "beams"), [(1, 720), (4, 720), (1, 721), (3, 9)])
 def test_the_draws_are_those_of_the_generators_integers(two_rooms: Outline, sweeps: int, beams: int) -> None:
     """However they are taken from the bits, so that what is drawn from the generator next stays the same too."""
-    laser = Laser(two_rooms, LaserConfig(sweeps=sweeps, beams=beams))
+    laser, pose = Laser(two_rooms, LaserConfig(sweeps=sweeps, beams=beams)), poses(two_rooms, 1)[0]
     for kind in (np.random.PCG64, np.random.MT19937):
         one, two = np.random.Generator(kind(4)), np.random.Generator(kind(4))
         for _ in range(3):
-            expected = two.integers(module.QUANTILES, size=(2, sweeps * beams), dtype=np.uint16)
-            assert np.array_equal(laser._draw(one), expected)
+            laser.scan(pose, one)
+            draws(two, sweeps * beams)
             assert one.standard_normal() == two.standard_normal()
 
 

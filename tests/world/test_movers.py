@@ -150,8 +150,7 @@ def test_the_same_state_gives_the_same_pedestrians() -> None:
     simulation, movers = world("furnished", 5, movable_boxes=4)
     for _ in random_drive(simulation, 60):
         pass
-    twin = copy.deepcopy(simulation)
-    other = twin._movers
+    twin, other = copy.deepcopy((simulation, movers))
     for _ in zip(random_drive(simulation, 120, 7), random_drive(twin, 120, 7), strict=True):
         assert movers.state.pedestrians.tobytes() == other.state.pedestrians.tobytes()
         assert movers.state.boxes.tobytes() == other.state.boxes.tobytes()
@@ -269,13 +268,13 @@ def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) 
         simulation, movers = crowded(boxes, seed)
         for _ in range(25):
             touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
-            twin = copy.deepcopy(simulation)
+            twin, other = copy.deepcopy((simulation, movers))
             for v, w in rng.uniform([-0.3, -0.8], [0.75, 0.8], (4, 2)):
                 expected, found = simulation.step(v, w), twin.step(v, w)
                 assert found.increments.tobytes() == expected.increments.tobytes()
                 assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
-                assert twin._movers.state.boxes.tobytes() == movers.state.boxes.tobytes()
-                assert twin._movers.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
+                assert other.state.boxes.tobytes() == movers.state.boxes.tobytes()
+                assert other.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
     assert touched > 50
 
 

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import pytest
@@ -10,31 +12,41 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import OdometryConfig
-from mecp_env.world.odometry import _variances, measure
+from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion
+from tests.world.make import motion as moved
 
 Array = NDArray[np.float64]
 
-STRAIGHT = Motion(np.array([[0.1, 0.0]] * 4), contact=False)
-TURNING = Motion(np.array([[0.0, math.pi / 8.0]] * 4), contact=False)
-CURVE = Motion(np.array([[0.08, 0.1]] * 4), contact=False)
-MIXED = Motion(np.array([[0.05, 0.1], [0.1, -0.2], [-0.02, 0.0], [0.0, 0.0]]), contact=True)
-REST = Motion(np.zeros((4, 2)), contact=False)
+STRAIGHT = moved((0.1, 0.0), steps=4)
+TURNING = moved((0.0, math.pi / 8.0), steps=4)
+CURVE = moved((0.08, 0.1), steps=4)
+MIXED = moved((0.05, 0.1), (0.1, -0.2), (-0.02, 0.0), (0.0, 0.0), contact=True)
+REST = moved((0.0, 0.0), steps=4)
 
 
-def variances(increments: Array, config: OdometryConfig) -> Array:
-    """Variances (M,2) of distance and turn of each increment (M,2) by the configured reading."""
-    return _variances(increments, config.record)
+@dataclass
+class Fixed:
+    """Draws this noise, in sigmas."""
+
+    noise: Any = 1.0
+
+    def standard_normal(self, shape: tuple[int, int]) -> Array:
+        return np.broadcast_to(self.noise, shape).copy()
+
+
+def sigmas(motion: Motion, config: OdometryConfig) -> Array:
+    """Sigmas (M,2) of distance and turn of each increment by the configured reading."""
+    return measure(motion, config, Fixed()).increments - motion.increments  # type: ignore[arg-type]
 
 
 def total_sigmas(motion: Motion, config: OdometryConfig) -> Array:
     """Sigmas (2,) of the step's whole distance and turn."""
-    sigmas: Array = np.sqrt(variances(motion.increments, config).sum(axis=0))
-    return sigmas
+    return np.hypot.reduce(sigmas(motion, config))
 
 
 def test_per_metre_is_the_papers_noise_after_a_metre() -> None:
-    metre = Motion(np.array([[0.25, 0.0]] * 4), contact=False)
+    metre = moved((0.25, 0.0), steps=4)
     assert total_sigmas(metre, OdometryConfig()) == pytest.approx([0.1, math.radians(1.5)], abs=1e-5)
 
 
@@ -61,8 +73,7 @@ def test_the_noise_is_what_the_reading_says(reading: str, motion: Motion) -> Non
     config, rng = OdometryConfig(reading=reading), np.random.default_rng(1)
     samples = [measure(motion, config, rng) for _ in range(2000)]
     errors = np.array([sample.increments - motion.increments for sample in samples])
-    variance = variances(motion.increments, config)
-    assert (errors**2).mean(axis=0) == pytest.approx(variance, rel=0.15)
+    assert (errors**2).mean(axis=0) == pytest.approx(sigmas(motion, config) ** 2, rel=0.15)
     assert samples[0].bumper == motion.contact
 
 
@@ -82,15 +93,10 @@ def test_the_covariance_covers_the_error_of_the_step(reading: str, motion: Motio
 def test_the_covariance_knows_the_reading_alone() -> None:
     """The truth must not reach the filter: equal readings carry equal covariances, whatever the true motion was."""
     config = OdometryConfig()
-
-    class Fixed:
-        def __init__(self, motion: Motion) -> None:
-            self.noise = (STRAIGHT.increments - motion.increments) / np.sqrt(variances(motion.increments, config))
-
-        def standard_normal(self, _: tuple[int, int]) -> Array:
-            return self.noise
-
-    one, two = (measure(m, config, Fixed(m)) for m in (STRAIGHT, CURVE))  # type: ignore[arg-type]
+    one, two = (
+        measure(m, config, Fixed((STRAIGHT.increments - m.increments) / sigmas(m, config)))  # type: ignore[arg-type]
+        for m in (STRAIGHT, CURVE)
+    )
     assert one.increments == pytest.approx(two.increments)
     assert one.cov == pytest.approx(two.cov)
 

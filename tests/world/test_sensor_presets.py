@@ -18,8 +18,8 @@ from mecp_env.world.layout import load_layout
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import Outline, build_outline
 from mecp_env.world.presets import WHEELS
-from mecp_env.world.simulation import Motion
 from tests.env.helpers import IDS, NEEDED
+from tests.world.make import motion
 
 REAL = sorted(LASERS.keys() - {"paper", "ideal"})
 VIEW_DEG = {"lms200": 180.0, "urg04lx": 240.0, "utm30lx": 270.0, "rplidar_a1": 360.0}
@@ -157,8 +157,7 @@ def test_presets_work_in_every_environment(env_id: str) -> None:
 def test_odometry_noise_is_as_named(name: str) -> None:
     """Over a metre straight on, and over a quarter turn on the spot, without slip."""
     config, rng = OdometryConfig(preset=name, slip_share=0.0), np.random.default_rng(5)
-    straight = Motion(np.array([[0.25, 0.0]] * 4), False)
-    turn = Motion(np.array([[0.0, math.pi / 8]] * 4), False)
+    straight, turn = motion((0.25, 0.0), steps=4), motion((0.0, math.pi / 8), steps=4)
     ahead = np.array([measure(straight, config, rng).increments.sum(axis=0) for _ in range(4000)])
     around = np.array([measure(turn, config, rng).increments.sum(axis=0) for _ in range(4000)])
     assert ahead.std(axis=0) == pytest.approx([config.distance_sigma_m, config.turn_sigma_rad], rel=0.05)
@@ -167,8 +166,8 @@ def test_odometry_noise_is_as_named(name: str) -> None:
 
 def test_wheels_slip_in_their_share_of_the_steps() -> None:
     config, rng = OdometryConfig(slip_share=0.2, scale=0.0), np.random.default_rng(7)
-    motion = Motion(np.array([[0.1, 0.0]] * 4), False)
-    readings = [measure(motion, config, rng) for _ in range(5000)]
+    ahead, at_rest = motion((0.1, 0.0), steps=4), motion((0.0, 0.0), steps=4)
+    readings = [measure(ahead, config, rng) for _ in range(5000)]
     far = np.array([reading.increments[:, 0].sum() for reading in readings])
     aside = np.array([reading.increments[:, 1].sum() for reading in readings])
     slipped = far > 0.4 + 1e-12
@@ -176,5 +175,4 @@ def test_wheels_slip_in_their_share_of_the_steps() -> None:
     assert far.max() < 0.4 * config.slip_most
     assert aside[slipped].std() == pytest.approx(config.slip_turn_rad, rel=0.1)
     assert not aside[~slipped].any()
-    at_rest = Motion(np.zeros((4, 2)), False)
     assert not any(measure(at_rest, config, rng).increments.any() for _ in range(50))

@@ -5,7 +5,6 @@ import itertools
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Odometry
 from mecp_env.slam.association.gating import (
     FIXED,
     HERE,
@@ -22,28 +21,20 @@ from mecp_env.slam.association.polygon_matching import polygon_hypotheses
 from mecp_env.slam.config import AssociationConfig, FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import (
-    FEATURE,
     UNKNOWN_ROOM,
-    Belief,
     CornerKind,
-    Corners,
-    Doorways,
     FeatureState,
-    FeatureTable,
-    MapView,
     Reason,
-    RoomGraph,
 )
+from tests.slam import make
+from tests.slam.make import polar
 
 NONE = np.empty(0, np.int64)
 
 
 def features_of(n, **columns):
     """(n,) features with these columns, otherwise zero."""
-    features = np.zeros(n, FEATURE)
-    for name, column in columns.items():
-        features[name] = column
-    return features
+    return make.features(n, **columns).rows
 
 
 def common_error_case(rng, wrong):
@@ -208,7 +199,7 @@ def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
 
 
 def test_rows_of_finds_ids_in_any_order():
-    belief = Belief(np.zeros(3), np.eye(3), np.array([7, 2, 9]), np.zeros((3, 2)), np.zeros((3, 2, 2)))
+    belief = make.belief(p_map=np.zeros((3, 2)), ids=[7, 2, 9])
     assert belief.rows(np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
 
 
@@ -219,20 +210,12 @@ def test_a_wide_prediction_needs_most_of_the_corners_that_may_be_landmarks_to_ag
     z, R, n = polar(p_robot), np.diag(np.tile([0.01**2, 0.003**2], 6)), len(p_robot)
     belief = make_filter(FilterConfig(prior_sigma_m=0.5, prior_sigma_rad=0.1))
     belief.augment(z, R, np.arange(n))
-    belief.predict(Odometry(np.zeros((1, 2)), np.array([np.diag([0.5**2, 0.1**2])]), True))
+    belief.predict(make.odometry(sigmas=(0.5, 0.1), bumper=True))
     offsets = np.array([(0.4, 0.5), (-0.5, 0.3), (0.45, -0.4), (-0.3, -0.5), (0.5, 0.0), (0.0, 0.0)])
     seen = p_robot + np.where(np.arange(n)[:, None] < moved, offsets, 0.0)
-    faces, mark = np.tile([0.0, 1.5], (n, 1)), np.zeros(n, np.int64)
-    doorways = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
-    corners = Corners(polar(seen), R, mark, np.ones(n, np.bool_), faces, mark - 1, mark == 0, doorways)
-    table = FeatureTable(features_of(n, state=FeatureState.LANDMARK, normals=faces, convex=1))
-    graph = RoomGraph(UNKNOWN_ROOM, False, (), (), (), {})
-    view = MapView(1, belief.belief(), table, {}, graph, mark - 1)
+    corners = make.corners(points=seen, cov=R, normals=(0.0, 1.5))
+    table = make.features(n, state=FeatureState.LANDMARK, normals=(0.0, 1.5), convex=1)
+    view = make.view(belief.belief(), table, corners, make.graph(UNKNOWN_ROOM, ()))
     match = MecpAssociator(AssociationConfig(use_rooms=False)).associate(corners, (), view, belief)
     assert len(match.recognised()) == paired
     assert (match.ids[match.recognised()] == match.recognised()).all()
-
-
-def polar(points):
-    """(n,2) range and bearing of points (n,2)."""
-    return np.column_stack([np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])])

@@ -10,10 +10,11 @@ import pytest
 
 from mecp_env.slam.association import Associator, OracleAssociator, make_associator
 from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.posts import NO_DOORS, PostsApart
+from mecp_env.slam.association.posts import PostsApart
 from mecp_env.slam.config import AssociationConfig, SlamConfig
-from mecp_env.slam.messages import FEATURE, CornerKind, Corners, Decision, FeatureState, Polygon, Reason, Sighting
+from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam import make
 from tests.slam.drives import scripted_drive
 
 JAMB = int(CornerKind.JAMB)
@@ -88,9 +89,7 @@ def test_corners_and_polygons_of_the_scan_keep_their_numbers(drive):
         view = pipeline.map.view(output.belief, graph, np.full(len(corners), -1), output.step)
         rings = (np.append(plain[:3], posts[0]), plain[1:4])
         inner = Fixed()
-        match = PostsApart(inner, APART).associate(
-            corners, tuple(Polygon(ring, np.empty((0, 4))) for ring in rings), view, pipeline.filter
-        )
+        match = PostsApart(inner, APART).associate(corners, tuple(map(make.polygon, rings)), view, pipeline.filter)
         seen, polygons, shown = inner.seen[0]
         np.testing.assert_array_equal(seen.z, corners.z[plain])
         assert [list(polygon.corners) for polygon in polygons] == [[1, 2, 3]]
@@ -145,25 +144,12 @@ def test_a_post_is_merged_only_as_a_landmark(use_posts):
     config = SlamConfig(association={"use_posts": use_posts}, filter={"kind": "riekf"})
     pipeline = SlamPipeline(config)
     z, R = np.array([[2.0, 0.1], [2.02, 0.1]]), np.diag([1e-3, 1e-4, 1e-3, 1e-4])
-    ids = pipeline.map.features.append(same_corner_twice())
+    twice = make.features(
+        2, state=FeatureState.LANDMARK, convex=1, kind=(CornerKind.CROSSING, JAMB), normals=(0.3, 1.8)
+    )
+    ids = pipeline.map.features.append(twice.rows)
     pipeline.filter.augment(z, R, ids)
-    belief = pipeline.filter.belief()
-    corners = some_corners_at(z[:1])
-    match = MatchBuilder(1).match().assign(0, 0, int(Decision.LANDMARK), int(Reason.ROOM))
-    seen = Sighting(corners, match, np.array([-1]), belief, 5)
+    seen = make.sighting(make.corners(z[:1], normals=0.3), make.match([0]), pipeline.filter.belief(), 5)
     after, merged = pipeline.map.merge(seen, pipeline.filter)
     assert merged == (((0, 1),) if use_posts else ())
     assert len(after.belief.ids) == 2 - use_posts
-
-
-def same_corner_twice() -> np.ndarray:
-    rows = np.zeros(2, FEATURE)
-    rows["state"], rows["convex"], rows["kind"] = FeatureState.LANDMARK, 1, (CornerKind.CROSSING, JAMB)
-    rows["normals"] = (0.3, 1.8)
-    return rows
-
-
-def some_corners_at(z: np.ndarray) -> Corners:
-    n = len(z)
-    marks = np.zeros(n, np.int64), np.ones(n, np.bool_), np.full((n, 2), 0.3)
-    return Corners(z, 1e-3 * np.eye(2 * n), *marks, np.full(n, -1), np.ones(n, np.bool_), NO_DOORS)

@@ -14,7 +14,6 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.slam.association import ASSOCIATORS, make_associator
 from mecp_env.slam.association.cliques import (
     ANY_HEADING,
-    Headings,
     cartesian,
     constraint_graph,
     jointly_compatible,
@@ -28,15 +27,11 @@ from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
-    Corners,
-    Doorways,
     FeatureState,
-    FeatureTable,
-    MapView,
-    RoomGraph,
 )
-from tests.slam.association.test_association import features_of, polar
+from tests.slam import make
 from tests.slam.drives import scripted_drive
+from tests.slam.make import polar
 
 RIVALS = ("jcbb", "ccda", "joint_descriptor", "nearest_room", "nearest_descriptor")
 MANY = 10**6
@@ -65,17 +60,12 @@ class Scene:
     @property
     def corners(self):
         """What the scan shows: outer corners, all with the same faces, `turned` by so many radians."""
-        n, mark = len(self.z), np.zeros(len(self.z), np.int64)
-        doorways = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
-        faces = np.tile(FACES, (n, 1)) + self.turned
-        return Corners(self.z, self.R, mark, np.ones(n, np.bool_), faces, mark - 1, mark == 0, doorways)
+        return make.corners(self.z, cov=self.R, normals=np.array(FACES) + self.turned)
 
     def associated(self, **fields):
         """The match of an associator."""
-        m, nowhere = len(self.belief.ids), np.full(len(self.z), -1)
-        rows = features_of(m, state=FeatureState.LANDMARK, normals=np.tile(FACES, (m, 1)), convex=1)
-        graph = RoomGraph(UNKNOWN_ROOM, False, (), (), (), {})
-        view = MapView(1, self.belief.belief(), FeatureTable(rows), {}, graph, nowhere)
+        table = make.features(len(self.belief.ids), state=FeatureState.LANDMARK, normals=FACES, convex=1)
+        view = make.view(self.belief.belief(), table, self.corners, make.graph(UNKNOWN_ROOM, ()))
         return make_associator(AssociationConfig(**fields)).associate(self.corners, (), view, self.belief)
 
     def search(self, gate_probability, budget=MANY):
@@ -266,7 +256,7 @@ def test_pairs_agree_on_a_heading_that_is_possible_and_turns_the_faces():
     scan, quarter = [[0.0, 0.0], [3.0, 0.0]], [[1.0, 1.0], [1.0, 4.0]]  # the map is turned by 90 degrees
     pairs, right = [(0, 0), (1, 1)], np.pi / 2.0
     for mean, turned, agree in ((right, right, 1), (right, 0.0, 0), (0.0, right, 0), (-right, right, 0)):
-        known = Headings(mean, 0.1**2, math.radians(40.0))
+        known = make.headings(mean, 0.1, math.radians(40.0))
         assert len(agreeing(scan, quarter, pairs, known, turned)) == agree
     assert len(agreeing(scan, quarter, pairs)) == 1
     assert agreeing(scan, [[1.0, 1.0], [1.0, 4.2]], pairs) == []

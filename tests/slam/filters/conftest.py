@@ -10,6 +10,7 @@ import pytest
 from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
+from tests.slam import make
 from tests.slam.filters.twin import Twin, expected
 
 
@@ -28,7 +29,7 @@ def random_cov(rng: np.random.Generator, sigmas: Any) -> Any:
 
 def random_odometry(rng: np.random.Generator, arcs: int = 4, bumper: bool = False) -> Odometry:
     cov = np.array([random_cov(rng, [0.02, 0.02]) for _ in range(arcs)])
-    return Odometry(rng.normal(size=(arcs, 2)) * [0.2, 0.3], cov, bumper)
+    return make.odometry(rng.normal(size=(arcs, 2)) * [0.2, 0.3], cov=cov, bumper=bumper)
 
 
 def sensor_cov(rng: np.random.Generator, count: int) -> Any:

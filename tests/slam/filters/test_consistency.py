@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks import ring
-from mecp_env.core.messages import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
+from tests.slam import make
 
 BAND = (2.41, 3.65)  # 95 % of the mean of 60 NEES of 3 degrees of freedom
 QUICK = 24
@@ -100,7 +100,7 @@ def test_a_biased_model_fails(monkeypatch):
     """Odometry that turns 0.03 rad a metre too far is caught by the test that the true model passes."""
 
     def biased(increments, cov, bumper):
-        return Odometry(increments + [0.0, 0.03] * np.abs(increments[:, :1]), cov, bumper)
+        return make.odometry(increments + [0.0, 0.03] * np.abs(increments[:, :1]), cov=cov, bumper=bumper)
 
     monkeypatch.setattr(ring, "Odometry", biased)
     assert ring.monte_carlo(RIEKF, ring.make_course(laps=1), QUICK // 2).mean_nees(0.0, 1.0) > BAND[1]
@@ -122,7 +122,7 @@ class Life:
         self.T = ring.moved(self.T, arc[0, 0], 0.0, arc[0, 1])
         var = ring.per_metre(arc)
         measured = arc + self.rng.normal(size=(1, 2)) * np.sqrt(var)
-        self.estimate.predict(Odometry(measured, var[:, :, None] * np.eye(2), k % 50 == 0))
+        self.estimate.predict(make.odometry(measured, np.sqrt(var), bumper=k % 50 == 0))
         if np.abs(self.T[:2] - 6.0).max() > 8.0:
             self.T[2] = np.arctan2(6.0 - self.T[1], 6.0 - self.T[0])
             self.estimate.set_pose(self.T)
@@ -191,6 +191,7 @@ import numpy as np
 from benchmarks import ring
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
+from tests.slam import make
 for kind in ("riekf", "ekf", "fej"):
     estimate = make_filter(FilterConfig(kind=kind))
     for k, step in enumerate(ring.drive(np.random.default_rng(3), ring.make_course(), arcs_per_step=4)):

@@ -13,6 +13,7 @@ import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.snapshot import StateError
 from mecp_env.slam.config import KINDS, FilterConfig
 from mecp_env.slam.filters import make_filter
+from tests.env.helpers import episode_of
 from tests.slam.filters.conftest import Pair, random_odometry, sensor_cov
 from tests.slam.filters.twin import J, expected, wrap
 
@@ -167,7 +168,7 @@ def test_a_state_with_damaged_first_estimates_is_refused(damage: Any) -> None:
     env = gym.make("mecp_env/PaperMap-v0", slam={"filter": {"kind": "fej"}}).unwrapped
     env.reset(seed=1)
     env.step(np.array([0.5, 0.1], np.float32))
-    landmark_filter = env._episode.pipeline.filter
+    landmark_filter = episode_of(env).pipeline.filter
     landmark_filter.first = damage(landmark_filter.first)
     state = env.get_state()
     with pytest.raises(StateError, match="first"):

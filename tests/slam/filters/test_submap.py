@@ -8,12 +8,12 @@ import pickle
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf
 from mecp_env.slam.filters.resting import near_any, overlaid
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
+from tests.slam import make
 
 FIELD = np.random.default_rng(0).uniform(-3.0, 33.0, (320, 2))
 WAY = [(30.0, 0.0), (30.0, 7.0), (0.0, 7.0), (0.0, 14.0), (30.0, 14.0), (30.0, 21.0), (0.0, 21.0), (0.0, 0.0)]
@@ -36,7 +36,7 @@ class Drive:
         turn = np.clip(wrap_angle(np.arctan2(away[1], away[0]) - self.T[2]), -0.3, 0.3)
         move = np.array([[0.4, turn]])
         self.T = compose(self.T, np.array([0.4 * np.cos(turn / 2.0), 0.4 * np.sin(turn / 2.0), turn]))
-        odometry = Odometry(move + DRIVEN * self.rng.standard_normal((1, 2)), np.diag(DRIVEN**2)[None], bumper=False)
+        odometry = make.odometry(move + DRIVEN * self.rng.standard_normal((1, 2)), DRIVEN)
         near = np.flatnonzero(np.hypot(*(FIELD - self.T[:2]).T) < RANGE_M)
         old, new = (np.array([i for i in near if (i in self.known) == seen], np.int64) for seen in (True, False))
         for some in self.filters:

@@ -10,26 +10,20 @@ import pytest
 from mecp_env.slam.config import ClusteringConfig, SegmentConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
-from mecp_env.slam.messages import ClusterKind, MergedScan
-from tests.slam.scans import EXACT, MAX_RANGE_M, PAPER, ROOM, blank_scan, chain, nominal_bearings, ring, take_scan
+from mecp_env.slam.messages import ClusterKind
+from tests.slam import make
+from tests.slam.make import MAX_RANGE_M
+from tests.slam.scans import EXACT, PAPER, ROOM, blank_scan, chain, ring, take_scan
 
 SEGMENTS = SegmentConfig()
 PAPER_RULE = ClusteringConfig(threshold="adaptive")
 
 
-def beams_of(ranges, hit=None):
-    """Averaged beams with the given ranges, each with one raw beam behind it."""
-    ranges = np.array(ranges, dtype=float)
-    bearings = nominal_bearings(1, len(ranges))[0]
-    hit = np.ones(len(ranges), dtype=bool) if hit is None else np.array(hit, dtype=bool)
-    return MergedScan(ranges, bearings, hit, np.ones(len(ranges), dtype=np.int64), MAX_RANGE_M, ranges, bearings)
-
-
 def lone_hits(distances):
     """720 beams of which only some, from beam 300 on, hit something."""
-    ranges, hit = np.full(720, MAX_RANGE_M), np.zeros(720, dtype=bool)
-    ranges[300 : 300 + len(distances)], hit[300 : 300 + len(distances)] = distances, True
-    return beams_of(ranges, hit)
+    ranges = np.full(720, MAX_RANGE_M)
+    ranges[300 : 300 + len(distances)] = distances
+    return make.beams(ranges)
 
 
 def spans(clusters):
@@ -53,12 +47,11 @@ def test_the_union_of_sweeps_is_clustered_by_the_step_of_one():
     theta = math.radians(0.5)
     limit = 2.0 * 2.0 * math.sin(theta / 2.0) / math.cos(math.radians(85.0))
     step = theta / 4.0  # of the union of four
-    bearings = -math.pi + step * np.arange(1, 2881)
     for share, clusters in ((0.98, 1), (1.02, 2)):
-        ranges, hit = np.full(2880, MAX_RANGE_M), np.zeros(2880, dtype=bool)
+        ranges = np.full(2880, MAX_RANGE_M)
         far = 2.0 + math.sqrt((share * limit) ** 2 - (2.0 * 2.0 * math.sin(step / 2.0)) ** 2)
-        ranges[[1200, 1201]], hit[[1200, 1201]] = (2.0, far), True
-        beams = MergedScan(ranges, bearings, hit, np.ones(2880, dtype=np.int64), MAX_RANGE_M, ranges, bearings)
+        ranges[[1200, 1201]] = 2.0, far
+        beams = make.beams(ranges)
         assert len(cluster_beams(beams, PAPER_RULE, SEGMENTS, EXACT, sweeps=4).first) == clusters
         assert len(cluster_beams(beams, PAPER_RULE, SEGMENTS, EXACT).first) == 2
 
@@ -121,9 +114,7 @@ def test_scans_with_next_to_nothing():
 
 
 def test_a_laser_with_less_than_a_full_circle_has_a_gap_behind():
-    bearings = np.linspace(-math.pi / 2, math.pi / 2, 361)
-    ranges, ones = np.full(361, 2.0), np.ones(361, dtype=np.int64)
-    beams = MergedScan(ranges, bearings, ones.astype(bool), ones, MAX_RANGE_M, ranges, bearings)
+    beams = make.beams(np.full(361, 2.0), np.linspace(-math.pi / 2, math.pi / 2, 361))
     clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
     assert (clusters.roll, clusters.first.tolist(), clusters.last.tolist()) == (0, [0], [360])
 

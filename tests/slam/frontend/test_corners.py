@@ -7,13 +7,13 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.line_ends import EndBearing, write_end
+from mecp_env.slam.frontend.line_ends import write_end
 from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
 from mecp_env.slam.messages import CornerKind
+from tests.slam import make
 from tests.slam.scans import (
     EXACT,
     LMS200,
@@ -107,8 +107,7 @@ def test_a_wall_that_leaves_the_field_of_view_has_no_end_there(field_of_view_deg
     for seed in range(20):
         scan = take_scan(ROOM, PAPER, seed)
         seen = abs(scan.bearings[0]) < field_of_view_deg / 2.0 * DEG
-        part = Scan(scan.ranges[:, seen], scan.bearings[:, seen], scan.hit[:, seen], scan.max_range_m)
-        corners = front_end(part)[-1]
+        corners = front_end(make.scan(scan.ranges[:, seen], scan.bearings[:, seen]))[-1]
         assert (corners.kind == CornerKind.CROSSING).all()
         assert len(corners) == 2
 
@@ -385,7 +384,7 @@ def plain_intersection(line):
 def test_derivatives_of_an_intersection_against_finite_differences():
     base = np.array([[0.3, 2.0], [1.7, 1.5]])
     found = empty_corners(1)[0]
-    write_end(found, 0, (0.4, 2.0), EndBearing(0.9, 1e-4, 0.0))  # a line end that was tried in vain leaves nothing
+    write_end(found, 0, (0.4, 2.0), make.end_bearing(0.9))  # a line end that was tried in vain leaves nothing
     x, y = write_intersection(found, base, (0, 1))
     assert not found["own"].any()
     np.testing.assert_allclose(found["z"], plain_intersection(base))
@@ -403,7 +402,7 @@ def test_derivatives_of_an_intersection_against_finite_differences():
 
 def test_derivatives_of_an_end_against_finite_differences():
     found, line, bearing = empty_corners(1)[0], (0.4, 2.0), 0.9
-    write_end(found, 0, line, EndBearing(bearing, 1e-4, 0.0))
+    write_end(found, 0, line, make.end_bearing(bearing))
     for parameter in range(2):
         ends = []
         for sign in (1.0, -1.0):

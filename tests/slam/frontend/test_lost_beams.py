@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Scan
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
 from mecp_env.slam.frontend.lost_beams import longest_run, restore_lost_beams, stop_at_walls
-from tests.slam.scans import ROOM, cast, chain, front_end, nominal_bearings, ring, take_scan
+from tests.slam import make
+from tests.slam.make import nominal_bearings
+from tests.slam.scans import ROOM, cast, chain, front_end, ring, take_scan
 
 DARK = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, dark_dropout=0.2)
 SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80.0)
@@ -61,9 +62,8 @@ def test_nothing_behind_a_slanting_wall_is_free():
     """A wall 1 m to the left of the robot is seen up to 80 degrees, and hides what is behind it beyond that."""
     faces = chain((30.0, 1.0), (-30.0, 1.0))
     bearings = nominal_bearings(1)
-    ranges = cast(faces, bearings)
     hit = (bearings > math.radians(10.0)) & (bearings < math.radians(170.0))
-    scan = Scan(np.where(hit, ranges, 30.0), bearings, hit, 30.0)
+    scan = make.scan(cast(faces, bearings), hit=hit)
     beams, _, segments, corners = front_end(scan, SLANTING)
     assert len(segments.line) == 1
     assert len(corners) == 0  # the wall goes on unseen: it has no end there
@@ -82,11 +82,9 @@ def test_lines_are_as_certain_as_the_noise_at_their_range(distance_m):
     faces, errors = ring((d, -d), (d, d), (-d, d), (-d, -d)), []
     rng = np.random.default_rng(1)
     for _ in range(100):
-        bearings = nominal_bearings(1)
-        true = cast(faces, bearings)
+        true = cast(faces, nominal_bearings(1))
         ranges = true + rng.normal(0.0, 1.0, true.shape) * np.maximum(0.01, 0.01 * true)
-        scan = Scan(ranges, bearings, np.ones(true.shape, bool), 30.0)
-        segments = front_end(scan, GROWING)[2]
+        segments = front_end(make.scan(ranges), GROWING)[2]
         for (alpha, rho), cov in zip(segments.line, segments.cov, strict=True):
             turn = (alpha + math.pi / 4.0) % (math.pi / 2.0) - math.pi / 4.0  # from the normal of the nearest wall
             if abs(turn) < 0.1:  # not a short cut across a corner
@@ -108,9 +106,6 @@ def test_what_follows_lost_beams_decides_whether_a_wall_ends(behind_m, is_end):
     faces = chain((3.0, -2.0), (3.0, 0.0))
     if behind_m is not None:
         faces = np.concatenate([faces, chain((behind_m, 0.04 * behind_m), (behind_m, 3.0))])  # six beams later
-    bearings = nominal_bearings(1)
-    ranges = cast(faces, bearings)
-    hit = np.isfinite(ranges)
-    corners = front_end(Scan(np.where(hit, ranges, 30.0), bearings, hit, 30.0), SLANTING)[-1]
+    corners = front_end(make.scan(cast(faces, nominal_bearings(1))), SLANTING)[-1]
     at_end = np.abs(corners.z - [3.0, 0.0]).max(axis=1, initial=0.0) < 0.05
     assert at_end.any() == is_end

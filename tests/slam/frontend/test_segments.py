@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import SegmentConfig, SensorModel, SlamConfig
-from mecp_env.slam.frontend.beams import Noise, laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import laser_noise, roll_beams
 from mecp_env.slam.frontend.circles import circle_cost
 from mecp_env.slam.frontend.split_and_merge import beam_points, line_cost, split_cluster
 from tests.slam.scans import EXACT, LMS200, PAPER, ROOM, blank_scan, chain, front_end, ring, take_scan, turned
@@ -22,7 +22,7 @@ def segments_of(faces, sensor=PAPER, seed=0, sweeps=4):
 
 def noise_of(range_m, bearing):
     """The noise of a laser with these standard deviations (m, rad), its gates as by default."""
-    return Noise(range_m, bearing, *laser_noise(SensorModel().record)[2:])
+    return laser_noise(SensorModel(range_sigma_m=range_m, bearing_sigma_deg=math.degrees(bearing)).record)
 
 
 def lengths(segments):

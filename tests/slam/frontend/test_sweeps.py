@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Scan
 from mecp_env.slam.frontend.dense_scan import merge_sweeps
-from tests.slam.scans import LMS200, MAX_RANGE_M, PAPER, ROOM, blank_scan, chain, nominal_bearings, take_scan
+from tests.slam import make
+from tests.slam.make import MAX_RANGE_M
+from tests.slam.scans import LMS200, PAPER, ROOM, blank_scan, chain, take_scan
 
 
 def test_one_sweep_stays_as_it_is():
@@ -30,7 +31,7 @@ def test_raw_beams_are_all_there_in_order_of_bearing():
 
 def test_sweeps_that_do_not_interleave_in_order_are_sorted():
     scan = take_scan(ROOM)
-    shuffled = Scan(scan.ranges[[2, 0, 3, 1]], scan.bearings[[2, 0, 3, 1]], scan.hit, scan.max_range_m)
+    shuffled = make.scan(scan.ranges[[2, 0, 3, 1]], scan.bearings[[2, 0, 3, 1]])
     np.testing.assert_array_equal(merge_sweeps(shuffled, PAPER).ranges, merge_sweeps(scan, PAPER).ranges)
 
 
@@ -61,9 +62,7 @@ def test_the_average_has_a_quarter_of_the_variance():
     ],
 )
 def test_beams_of_two_surfaces_are_told_apart(ranges, expected, count):
-    bearings = nominal_bearings()
-    scan = Scan(np.repeat(np.array(ranges)[:, None], 720, axis=1), bearings, np.ones((4, 720), dtype=bool), MAX_RANGE_M)
-    beams = merge_sweeps(scan, PAPER)
+    beams = merge_sweeps(make.scan(np.repeat(np.array(ranges)[:, None], 720, axis=1)), PAPER)
     np.testing.assert_allclose(beams.ranges, expected)
     assert (beams.count == count).all()
 
@@ -72,7 +71,7 @@ def test_the_bearing_is_that_of_the_beams_used():
     scan = take_scan(ROOM)
     ranges = scan.ranges.copy()
     ranges[3, 100] = 12.0
-    beams = merge_sweeps(Scan(ranges, scan.bearings, scan.hit, scan.max_range_m), PAPER)
+    beams = merge_sweeps(make.scan(ranges), PAPER)
     assert beams.bearings[100] == pytest.approx(scan.bearings[:3, 100].mean())
 
 
@@ -80,7 +79,7 @@ def test_rays_that_hit_nothing_stand_apart_from_hits():
     scan = take_scan(ROOM)
     hit = scan.hit.copy()
     hit[:3, 10], hit[:2, 20], hit[:, 30] = False, False, False
-    beams = merge_sweeps(Scan(np.where(hit, scan.ranges, MAX_RANGE_M), scan.bearings, hit, MAX_RANGE_M), PAPER)
+    beams = merge_sweeps(make.scan(scan.ranges, hit=hit), PAPER)
     assert [bool(beams.hit[i]) for i in (10, 20, 30)] == [False, True, False]
     assert [int(beams.count[i]) for i in (10, 20, 30)] == [3, 2, 4]
     assert beams.ranges[30] == MAX_RANGE_M

@@ -7,9 +7,9 @@ import pytest
 import shapely
 
 from mecp_env.slam.grid import cells
-from mecp_env.slam.grid.canvas import NOTHING
 from mecp_env.slam.grid.pockets import apart_from, find_pockets
 from mecp_env.slam.messages import Cell
+from tests.slam import make
 
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 
@@ -23,7 +23,7 @@ def test_a_polygon_covers_the_cells_whose_centre_it_contains(seed: int) -> None:
     ring = np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=1) + lattice + rng.uniform(5.0, 25.0, 2)
     columns, rows = np.meshgrid(np.arange(width) + 0.5 + lattice[0], np.arange(height) + 0.5 + lattice[1])
     inside = np.array(shapely.contains_xy(shapely.Polygon(ring).buffer(0.0), columns, rows))
-    raster = cells.Raster(np.zeros((height, width + 1), np.uint8), lattice, np.array(NOTHING), 0.1)
+    raster = make.raster(height, width, lattice)
     layer = np.full((height, width), 5, np.int16)
     cells.fill_polygon(layer, ring, cells.ADD, 2, raster)
     assert (layer == np.where(inside, 7, 5)).all()
@@ -108,7 +108,7 @@ def test_a_door_is_walled_up_where_no_half_of_it_is_free(seed: int) -> None:
     across = np.stack([np.cos(turn), np.sin(turn)], axis=1) * rng.uniform(0.0, 10.0, (30, 1))
     onward = 0.2 * across[:, ::-1] * [1.0, -1.0]
     quads = np.stack([right, right + across, right + across + onward, right + onward], axis=1)
-    raster = cells.Raster(np.zeros((40, 51), np.uint8), lattice, np.array(NOTHING), 0.1)
+    raster = make.raster(40, 50, lattice)
     expected = [narrowed(wall, quad) for quad in quads]
     assert cells.are_walled_up(layers, quads + lattice, 0.34, raster).tolist() == expected
     assert 0 < sum(expected) < 30

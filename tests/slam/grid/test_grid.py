@@ -14,7 +14,8 @@ from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.grid.door_sight import split_outline
 from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor
 from mecp_env.slam.grid.painter import GridPainter
-from mecp_env.slam.messages import Cell, RoomGraph
+from mecp_env.slam.messages import Cell
+from tests.slam import make
 from tests.toy import HERE, LANDMARKS, Toy, free_iou, is_free, labels_at, layer_at, look
 
 TOUR = [(1.0, 2.0), (3.0, 1.0), (5.0, 2.0), (5.5, 1.95), (6.06, 1.95), (6.6, 1.95), (8.0, 2.5)]
@@ -77,7 +78,7 @@ def test_a_door_that_a_wall_fills_leads_nowhere() -> None:
     beams, segments = look(toy.T_world_robot)
     true, p_false = toy.graph().doors[0], np.stack([np.full(7, 6.06), np.linspace(2.7, 3.7, 7)], axis=1)
     doors = (true, replace(true, id=1, jambs=(5, 2), other_face=None))  # the second one is the wall beside the first
-    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), RoomGraph(0, False, (0,), doors, (), {}))
+    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), make.graph(doors=doors))
     assert (labels_at(grid, p_false) != Cell.DOOR).all()
     assert labels_at(grid, np.array([[6.06, 1.95]])) == [Cell.DOOR]
 
@@ -88,8 +89,7 @@ def test_a_door_is_open_until_a_scan_shows_the_wall_in_it() -> None:
     p_false, labels = np.array([[6.06, 3.2]]), []
     for _ in range(3):
         beams, segments = look(toy.T_world_robot)
-        graph = RoomGraph(0, False, (0,), doors, (), {})
-        grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), graph)
+        grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), make.graph(doors=doors))
         labels += labels_at(grid, p_false).tolist()
     assert labels == [Cell.DOOR, Cell.OCCUPIED, Cell.OCCUPIED]
 
@@ -113,7 +113,7 @@ def test_what_is_seen_through_a_door_belongs_to_no_room_yet() -> None:
 def test_a_door_found_late_takes_the_room_off_what_was_seen_through_it() -> None:
     toy = Toy(np.array([2.0, 1.95, 0.0]))
     beams, segments = look(toy.T_world_robot)
-    nothing = RoomGraph(0, False, (0,), (), (), {})
+    nothing = make.graph()
     behind, before = np.array([[8.0, 1.95]]), np.array([[5.0, 1.95]])
     grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), nothing)
     assert layer_at(grid, grid.room, behind) == [0]
@@ -125,19 +125,18 @@ def test_a_door_found_late_takes_the_room_off_what_was_seen_through_it() -> None
 def test_merged_rooms_get_one_name(tour: Toy) -> None:
     toy = copy.deepcopy(tour)
     beams, segments = look(toy.T_world_robot)
-    graph = toy.graph()
-    merged = RoomGraph(0, False, (0,), graph.doors, (), {1: 0})
+    merged = make.graph(doors=toy.graph().doors, merged={1: 0})
     grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), merged)
     assert set(np.unique(grid.room)) == {-1, 0}
 
 
 def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
-    one = RoomGraph(0, False, (0,), (), (), {})
+    one = make.graph()
     for x in (1.0, 3.0, 8.0, 9.0):
         toy.T_world_robot = np.array([x, 2.0, 0.0])
         toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), one)
-    graph = RoomGraph(1, False, (0, 1), toy.graph().doors, (), {}, {1: (0, 3)})
+    graph = make.graph(1, (0, 1), doors=toy.graph().doors, parted={1: (0, 3)})
     grid = toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), graph)
     assert layer_at(grid, grid.room, np.array([[1.0, 1.0], [3.0, 3.0], [7.5, 1.0], [9.0, 3.0]])).tolist() == [
         0,
@@ -163,7 +162,7 @@ def test_a_polygon_waits_for_its_landmarks() -> None:
     toy.confirmed = False
     toy.add_polygon([0, 1, 2, 3], 0)
     beams, segments = look(toy.T_world_robot)
-    graph = RoomGraph(0, False, (0,), (), (), {})
+    graph = make.graph()
     known = tuple(toy.polygons)
     assert not toy.painter.paint(toy.belief(), beams, segments, np.arange(2), known, graph).polygon.any()
     toy.p_map = all_landmarks
@@ -207,10 +206,8 @@ def test_votes_taken_back_leave_nothing() -> None:
 def test_scans_whose_landmarks_are_gone_are_dropped() -> None:
     toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
     beams, segments = look(toy.T_world_robot)
-    belief = toy.belief()
-    emptied = type(belief)(belief.T_map_robot, belief.pose_cov, belief.ids[:0], belief.p_map[:0], belief.covs[:0])
-    graph = RoomGraph(1, False, (0, 1), (), (), {})
-    grid = toy.painter.paint(emptied, beams, segments, belief.ids[:0], (), graph)
+    emptied = make.belief(toy.T_world_robot)
+    grid = toy.painter.paint(emptied, beams, segments, emptied.ids, (), make.graph(1, (0, 1)))
     assert labels_at(grid, np.array([[2.0, 2.0]])) == [Cell.UNKNOWN]
     assert len(toy.painter.scans.room) == 1
 
@@ -257,10 +254,9 @@ def test_an_empty_map_is_painted_before_there_are_landmarks() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
     beams, segments = look(toy.T_world_robot)
     belief = toy.belief()
-    empty = type(belief)(belief.T_map_robot, belief.pose_cov, belief.ids[:0], belief.p_map[:0], belief.covs[:0])
-    graph = RoomGraph(0, False, (0,), (), (), {})
+    empty, graph = make.belief(belief.T_map_robot), make.graph()
     painter = GridPainter(GridConfig())
-    grid = painter.paint(empty, beams, segments, belief.ids[:0], (), graph)
+    grid = painter.paint(empty, beams, segments, empty.ids, (), graph)
     assert labels_at(grid, np.array([[1.0, 2.0]])) == [Cell.FREE]
     assert (painter.scans.anchor == -1).all()
     painter.paint(belief, beams, segments, belief.ids, (), graph)

@@ -14,11 +14,11 @@ from mecp_env.slam.landmark_map.dynamic_objects import (
     without_dynamic,
 )
 from mecp_env.slam.landmark_map.pruning import PruneLimits, find_pruned
-from mecp_env.slam.messages import Belief, Candidate, Decision, Door, Match, Reason, Segments, SemanticGrid
+from mecp_env.slam.messages import Decision, Reason
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
+from tests.slam import make
 from tests.slam.drives import scripted_drive
 from tests.slam.scans import PAPER, front_end, ring, take_scan
-from tests.slam.tables import table_of
 
 CONFIG = DynamicObjectsConfig()
 LIMITS = PruneLimits.of(SlamConfig())
@@ -43,20 +43,16 @@ def empty_room():
     label = np.where((x > -3.0) & (x < 4.0) & (y > -2.0) & (y < 3.0), 1, 0).astype(np.uint8)
     wall = (np.abs(x + 3.05) < 0.06) | (np.abs(x - 4.05) < 0.06) | (np.abs(y + 2.05) < 0.06) | (np.abs(y - 3.05) < 0.06)
     label[wall] = 2
-    shape = label.shape
-    return SemanticGrid(label, np.zeros(shape, bool), np.zeros(shape, np.int16), ORIGIN, 0.1, 1)
+    return make.grid(label, origin=ORIGIN)
 
 
 def belief(*p_map, sigma=0.01):
-    n = len(p_map)
-    covs = np.tile(1e-6 * np.eye(2), (n, 1, 1))
-    pose_cov = np.diag([sigma**2 / 2, sigma**2 / 2, 1e-8])
-    return Belief(np.zeros(3), pose_cov, np.arange(n), np.array(p_map, float).reshape(n, 2), covs)
+    return make.belief(p_map=p_map, covs=1e-6, pose_cov=np.diag([sigma**2 / 2, sigma**2 / 2, 1e-8]))
 
 
 def judged(faces, landmark, normals, scans=6, seen_in=()):
     """The step in which the landmark is pruned, or None."""
-    table, where = table_of(1, normals=normals), belief(landmark)
+    table, where = make.features(1, normals=normals), belief(landmark)
     for step in range(1, scans + 1):
         beams, _, segments, _ = front_end(take_scan(faces, seed=step))
         if step in seen_in:
@@ -103,8 +99,7 @@ def test_no_wall_is_painted_where_a_dynamic_object_is():
 def test_corners_of_a_dynamic_object_are_ignored_and_those_of_the_room_are_not():
     beams, _, _, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
     dynamic = STAGE.find(beams, belief(), empty_room())
-    n = len(corners)
-    new = Match(np.full(n, -1), np.full(n, int(Decision.NEW)), np.zeros(n, int), np.full(n, np.nan), -1, -1)
+    new = make.match([-1] * len(corners))
     match = STAGE.reject(new, corners, beams, dynamic)
     points = np.column_stack([corners.z[:, 0] * np.cos(corners.z[:, 1]), corners.z[:, 0] * np.sin(corners.z[:, 1])])
     near = np.hypot(*(points - (1.5, 0.5)).T) < 0.5
@@ -154,10 +149,9 @@ def test_a_corner_on_the_other_side_of_the_wall_stays():
 
 
 def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
-    book = DoorMap(sightings={(0, 1): 4, (4, 5): 3}, candidates=[Candidate(np.zeros((2, 2)), (4, 9), 0, 1, 1)])
-    book.set_doors(
-        [Door(0, (0, 1), (2, 3), (0, 1), 5), Door(1, (4, 5), None, (0, -1), 3), Door(2, (6, 7), (8, 9), (0, 2), 3)]
-    )
+    book = DoorMap(sightings={(0, 1): 4, (4, 5): 3}, candidates=[make.candidate(ids=(4, 9))])
+    faces = ((0, 1), (2, 3)), ((4, 5), None), ((6, 7), (8, 9))
+    book.set_doors([make.door(id, *both) for id, both in enumerate(faces)])
     forget_jambs(book, np.array([0, 4]))
     assert [(door.id, door.jambs, door.other_face) for door in book.doors] == [(0, (2, 3), None), (2, (6, 7), (8, 9))]
     assert (0, 1) not in book.sightings
@@ -180,6 +174,5 @@ def test_a_segment_goes_when_more_than_half_of_its_beams_end_on_something_that_m
         first, last, dynamic = cuts[0::2], cuts[1::2], rng.random(size) < 0.5
         of_run = np.roll(dynamic, -roll)  # by position
         plain = [of_run[a : b + 1].mean() <= 0.5 for a, b in zip(first, last, strict=True)]
-        number = np.arange(3.0)
-        segments = Segments(number, number, number, number, first, last, roll)
+        segments = make.segments(first=first, last=last, roll=roll)
         assert without_dynamic(segments, dynamic).first.tolist() == first[plain].tolist()

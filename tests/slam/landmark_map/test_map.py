@@ -11,57 +11,29 @@ from mecp_env.slam.landmark_map.merging import find_duplicate
 from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
-    Belief,
     CornerKind,
-    Corners,
     Decision,
-    Door,
-    Doorways,
     FeatureState,
     FeatureTable,
-    Match,
-    Polygon,
-    RoomGraph,
-    Sighting,
 )
-from tests.slam.tables import table_of
+from tests.slam import make
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
-ORIGIN = Belief(np.zeros(3), np.eye(3) * 1e-6, np.empty(0, np.int64), np.empty((0, 2)), np.empty((0, 2, 2)))
-
-
-def corners_at(points, kind=0):
-    points = np.asarray(points, float)
-    n = len(points)
-    z = np.stack((np.hypot(*points.T), np.arctan2(points[:, 1], points[:, 0])), axis=1)
-    no_doors = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
-    return Corners(
-        z,
-        np.eye(2 * n) * 1e-4,
-        np.full(n, kind, np.int64),
-        np.zeros(n, np.bool_),
-        np.zeros((n, 2)),
-        np.full(n, -1, np.int64),
-        np.ones(n, np.bool_),
-        no_doors,
-    )
+ORIGIN = make.belief()
 
 
 def match_of(decisions, ids=None):
-    n = len(decisions)
-    ids = np.full(n, -1, np.int64) if ids is None else np.array(ids, np.int64)
-    return Match(ids, np.array(decisions, np.int64), np.zeros(n, np.int64), np.full(n, np.nan), -1, -1)
+    return make.match([-1] * len(decisions) if ids is None else ids, decisions)
 
 
-def graph_of(current=0, merged=None, in_doorway=False):
-    return RoomGraph(current, in_doorway, (0, 1), (), (), merged or {})
+def graph_of(current=0, **fields):
+    return make.graph(current, (0, 1), **fields)
 
 
 def see(table, points, step, kind=0, config=None, graph=None):
     config = SlamConfig(tracks=config or TrackConfig(few_matches=0))
     drop_tracks(table, step, config.tracks)
-    nowhere = np.full(len(points), -1, np.int64)
-    seen = Sighting(corners_at(points, kind), match_of([Decision.NEW] * len(points)), nowhere, ORIGIN, step)
+    seen = make.sighting(make.corners(points=points, kind=kind), make.match([-1] * len(points)), ORIGIN, step)
     return track_corners(table, seen, graph or graph_of(), config)
 
 
@@ -105,8 +77,8 @@ def test_two_corners_never_follow_one_track():
 def test_a_track_that_the_associator_chose_is_no_other_corners_track():
     table = FeatureTable()
     first = see(table, [[2.0, 1.0]], 0)[0].ids[0]
-    match = match_of([Decision.NEW, Decision.PROVISIONAL], [-1, first])
-    seen = Sighting(corners_at([[2.0, 1.0], [2.0, 1.1]]), match, np.full(2, -1, np.int64), ORIGIN, 1)
+    match = make.match([-1, first], [Decision.NEW, Decision.PROVISIONAL])
+    seen = make.sighting(make.corners(points=[[2.0, 1.0], [2.0, 1.1]]), match, ORIGIN, 1)
     found, confirmed = track_corners(table, seen, graph_of(), SlamConfig())
     assert found.ids[1] == first != found.ids[0]
     assert len(set(found.ids[confirmed].tolist())) == len(confirmed)
@@ -121,14 +93,11 @@ def landmarks(rooms):
 
 
 def ring(*vertices):
-    k = len(vertices)
-    intervals = np.array([[edge, 0.0, 1.0, edge % 3] for edge in range(k)], float)
-    return Polygon(np.array(vertices, np.int64), intervals)
+    return make.polygon(vertices, make.edges(*(edge % 3 for edge in range(len(vertices)))))
 
 
-def remember(store, table, polygon, graph, ids=range(8)):
-    match = match_of([Decision.LANDMARK] * 8, list(ids))
-    store.remember((polygon,), match, table, graph, 1)
+def remember(store, table, polygon, graph):
+    store.remember((polygon,), make.match(range(8)), table, graph, 1)
 
 
 def prune(store, table, graph):
@@ -211,28 +180,24 @@ def test_fused_landmarks_leave_no_polygon_with_a_vertex_twice():
 
 def believed(offset):
     table = landmarks([0, 0])
-    p_map = np.array([[2.0, 1.0], [2.0 + offset, 1.0]])
-    belief = Belief(np.zeros(3), np.eye(3), np.arange(2), p_map, np.tile(np.eye(2) * 1e-3, (2, 1, 1)))
-    return table, belief
+    return table, make.belief(p_map=[[2.0, 1.0], [2.0 + offset, 1.0]], pose_cov=1.0, covs=1e-3)
 
 
 def test_two_landmarks_on_one_corner_are_found():
     table, belief = believed(0.03)
-    seen = match_of([Decision.LANDMARK], [1])
-    assert find_duplicate(table, belief, seen, SlamConfig()) == (0, 1)
+    assert find_duplicate(table, belief, make.match([1]), SlamConfig()) == (0, 1)
 
 
 def test_two_faces_of_a_wall_are_no_duplicates():
     table, belief = believed(0.03)
     table.rows["normals"][1] += np.pi
-    assert find_duplicate(table, belief, match_of([Decision.LANDMARK], [1]), SlamConfig()) is None
+    assert find_duplicate(table, belief, make.match([1]), SlamConfig()) is None
 
 
 @pytest.mark.parametrize(("offset", "ids"), [(0.2, [1]), (0.03, [0, 1])])
 def test_landmarks_apart_or_seen_side_by_side_are_two(offset, ids):
     table, belief = believed(offset)
-    match = match_of([Decision.LANDMARK] * len(ids), ids)
-    assert find_duplicate(table, belief, match, SlamConfig()) is None
+    assert find_duplicate(table, belief, make.match(ids), SlamConfig()) is None
 
 
 def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_seen_again_is_removed():
@@ -249,15 +214,13 @@ def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_
 def test_jambs_in_view_do_not_count_where_predictions_are_wide():
     """At odometry x4 the pose was lost beyond a door: all in view before it were two jambs and two corners."""
     points, config = np.array([[0.4, 0.5], [0.4, -0.5], [-1.0, 1.0], [-1.0, -1.0], [3.0, 1.0]]), SlamConfig()
-    decisions = [Decision.LANDMARK] * 4 + [Decision.NEW]
     for kind, wide, confirmed in (
         (CornerKind.CROSSING, True, []),
         (CornerKind.JAMB, False, []),
         (CornerKind.JAMB, True, [4]),
     ):
-        table = table_of(4, state=FeatureState.LANDMARK, kind=[kind, kind, 0, 0], seen=9)
-        match, nowhere = match_of(decisions, [0, 1, 2, 3, -1]), np.full(5, -1, np.int64)
-        seen = Sighting(corners_at(points), match, nowhere, ORIGIN, 1)
+        table = make.features(4, state=FeatureState.LANDMARK, kind=[kind, kind, 0, 0], seen=9)
+        seen = make.sighting(make.corners(points=points), make.match([0, 1, 2, 3, -1]), ORIGIN, 1)
         assert track_corners(table, seen, graph_of(), config, wide)[1].tolist() == confirmed
 
 
@@ -273,9 +236,7 @@ def test_a_line_end_belongs_to_the_room_that_it_is_seen_from_inside():
 
 
 def test_the_room_of_a_corner_is_that_behind_its_door_and_open_beyond_a_gap():
-    door = Door(7, (0, 1), None, (0, 3), 3)
-    other = Door(8, (2, 3), None, (0, UNKNOWN_ROOM), 3)
-    graph = RoomGraph(0, False, (0, 3), (door, other), (), {})
+    graph = make.graph(rooms=(0, 3), doors=(make.door(7, rooms=(0, 3)), make.door(8, (2, 3))))
     beyond, through = np.array([-1, 0, -1, -1]), np.array([-1, -1, 7, 8])
     assert graph.rooms_of(beyond, through).tolist() == [0, UNKNOWN_ROOM, 3, UNKNOWN_ROOM]
     assert replace(graph, in_doorway=True).rooms_of(beyond, through).tolist() == [UNKNOWN_ROOM] * 4

@@ -9,18 +9,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.association import ignored
 from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.localisation.hypotheses import Hypothesis, clear_winner
-from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement, count_ends
+from mecp_env.slam.localisation.hypotheses import clear_winner
+from mecp_env.slam.localisation.map_agreement import agreement, count_ends
 from mecp_env.slam.localisation.pose_guard import PoseGuard
-from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located, count_distinct, fit, moved
-from mecp_env.slam.messages import NO_ID, Cell, Decision, MergedScan, Reason, SemanticGrid
+from mecp_env.slam.localisation.relocalisation import LandmarkIndex, count_distinct, fit, moved
+from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
-from tests.slam.drives import scripted_drive
+from tests.slam import make
+from tests.slam.drives import fed, scripted_drive
+from tests.slam.make import evidence
 
 CONFIG = LocalisationConfig()
 REACH_M, TURN_RAD = 8.0, math.radians(40.0)
@@ -31,8 +32,7 @@ def mapped():
     """A pipeline at the end of a drive through two rooms, its last output, and the drive."""
     drive = scripted_drive()
     pipeline = SlamPipeline()
-    for odometry, scan in zip(drive.odometry, drive.scans, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    *_, output = fed(pipeline, drive)
     return pipeline, output, drive
 
 
@@ -42,11 +42,6 @@ def in_map(drive, T_world_robot):
 
 def off(a, b):
     return math.dist(a[:2], b[:2]), abs(wrap_angle(a[2] - b[2]))
-
-
-def beams_of(ranges, bearings, hit):
-    count = np.ones(len(ranges), np.int64)
-    return MergedScan(ranges, bearings, hit, count, 30.0, ranges, bearings)
 
 
 def plain_count(beams, pose, grid, reach_m):
@@ -74,8 +69,8 @@ def test_ends_of_beams_are_counted_as_the_plain_twin_does():
     rng = np.random.default_rng(0)
     for _ in range(20):
         label = rng.choice([0, 1, 1, 1, 1, 1, 1, 1, 1, 2, 3], (60, 70), p=None).astype(np.uint8)
-        grid = SemanticGrid(label, label > 9, np.zeros_like(label, np.int16), np.array([-3.0, -2.5]), 0.1, 1)
-        beams = beams_of(rng.uniform(0.2, 9.0, 400), np.sort(rng.uniform(-3.1, 3.1, 400)), rng.random(400) < 0.9)
+        grid = make.grid(label, origin=(-3.0, -2.5))
+        beams = make.beams(rng.uniform(0.2, 9.0, 400), np.sort(rng.uniform(-3.1, 3.1, 400)), rng.random(400) < 0.9)
         pose = rng.uniform(-1.0, 1.0, 3)
         floor = grid.label, grid.origin, grid.resolution_m
         found = count_ends(beams.ranges, beams.bearings, beams.hit, pose, floor, REACH_M)
@@ -97,7 +92,7 @@ def test_the_map_agrees_at_the_right_pose_and_contradicts_one_a_metre_off(mapped
 
 def test_without_a_map_nothing_is_said(mapped):
     _, output, _ = mapped
-    empty = SemanticGrid(*(np.zeros((0, 0), t) for t in (np.uint8, np.bool_, np.int16)), np.zeros(2), 0.1, 0)
+    empty = make.grid(np.zeros((0, 0)))
     far = np.array([500.0, 0.0, 0.0])
     for said in (
         agreement(output.beams, np.zeros(3), empty, REACH_M, 0.65),
@@ -126,10 +121,8 @@ def test_one_scan_is_located_anywhere_in_the_map(mapped):
     pipeline, output, drive = mapped
     view = pipeline.map.view(output.belief, output.graph, np.empty(0, np.int64), output.step)
     index = LandmarkIndex(view, CONFIG, REACH_M, TURN_RAD)
-    replayed = SlamPipeline()
     hits = 0
-    for k, (odometry, scan) in enumerate(zip(drive.odometry, drive.scans, strict=True)):
-        features = replayed.start(scan) if odometry is None else replayed.step(odometry, scan)
+    for k, features in enumerate(fed(SlamPipeline(), drive)):
         if k % 10 == 0:
             found = index.locate(features.corners, features.polygons)
             assert all(len(one.corners) == len(set(one.ids.tolist())) for one in found)
@@ -137,41 +130,27 @@ def test_one_scan_is_located_anywhere_in_the_map(mapped):
     assert hits >= 0.8 * (len(drive.scans) // 10)
 
 
-def located(ids, at=(0.0, 0.0, 0.0)):
-    ids = np.array(ids)
-    return Located(np.array(at), np.eye(3), np.arange(len(ids)), ids)
-
-
 def test_a_pose_wins_only_where_no_other_explains_as_much():
-    one, other = located([1, 2, 3, 4, 5, 6]), located([11, 12, 13, 14, 15], (5.0, 0.0, 0.0))
-    clear = Hypothesis(one, 1.0, 0.9, near=False)
+    clear, few, far = make.hypothesis([1, 2, 3, 4, 5, 6]), [11, 12, 13], (5.0, 0.0, 0.0)
     assert clear_winner([clear], CONFIG) is clear
-    assert clear_winner([clear, Hypothesis(other, 0.9, 0.9, near=False)], CONFIG) is None  # one corner fewer
-    few = located([11, 12, 13], (5.0, 0.0, 0.0))
-    assert clear_winner([clear, Hypothesis(few, 0.9, 0.9, near=False)], CONFIG) is clear
-    surer = replace_share(clear, 0.9)
-    assert clear_winner([surer, Hypothesis(few, 1.0, 0.7, near=False)], CONFIG) is None  # its beams agree better
-    assert clear_winner([surer, Hypothesis(few, 0.5, 0.7, near=False)], CONFIG) is surer  # which the map contradicts
-    assert clear_winner([Hypothesis(few, 1.0, 1.0, near=False)], CONFIG) is None  # too few corners
+    assert clear_winner([clear, make.hypothesis([*few, 14, 15], far, share=0.9)], CONFIG) is None  # one corner fewer
+    assert clear_winner([clear, make.hypothesis(few, far, share=0.9)], CONFIG) is clear
+    surer = clear._replace(share=0.9)
+    assert clear_winner([surer, make.hypothesis(few, far, explained=0.7)], CONFIG) is None  # its beams agree better
+    assert (
+        clear_winner([surer, make.hypothesis(few, far, share=0.5, explained=0.7)], CONFIG) is surer
+    )  # which the map contradicts
+    assert clear_winner([make.hypothesis(few, explained=1.0)], CONFIG) is None  # too few corners
     assert clear_winner([clear._replace(explained=0.5)], CONFIG) is None
     assert clear_winner([], CONFIG) is None
 
 
-def replace_share(hypothesis, share):
-    return hypothesis._replace(share=share)
-
-
 def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_one():
-    far = Hypothesis(located([1, 2, 3, 4, 5, 6]), 1.0, 0.9, near=False)
-    near = Hypothesis(located([11, 12, 13], (0.5, 0.0, 0.0)), 1.0, 0.9, near=True)
+    far, near = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([11, 12, 13], (0.5, 0.0, 0.0), near=True)
     assert clear_winner([far, near], CONFIG) is near
     nearly = near._replace(explained=0.87)  # in equal bays one explains a few beams more
     assert clear_winner([far, nearly], CONFIG) is nearly
     assert clear_winner([far, near._replace(explained=0.85)], CONFIG) is far
-
-
-def seen(share, recognised, sharp=True):
-    return Evidence(Agreement(share, share, CONFIG.explained_share), recognised, sharp)
 
 
 @pytest.mark.parametrize(
@@ -191,20 +170,20 @@ def seen(share, recognised, sharp=True):
     ],
 )
 def test_beams_and_corners_speak_for_a_pose(share, recognised, sharp, enough):
-    assert seen(share, recognised, sharp).is_enough == enough
+    assert evidence(share, recognised, sharp).is_enough == enough
 
 
 @pytest.mark.parametrize("many", [False, True])
 def test_many_corners_recognised_from_a_rough_prediction_are_enough(many: bool):
-    assert seen(0.3, 0.7, sharp=False)._replace(many=many).is_enough == many
+    assert evidence(0.3, 0.7, sharp=False, many=many).is_enough == many
 
 
 def test_a_least_share_of_zero_turns_the_guard_off():
-    off = Evidence(Agreement(math.nan, 0.0, 0.0), 0.0, sharp=False)
+    off = evidence(math.nan, 0.0, sharp=False, explained=0.0, least=0.0)
     assert off.is_enough
     assert off.fits
-    assert Evidence(Agreement(0.0, 0.0, 0.0), 0.0, sharp=False).is_enough
-    assert Evidence(Agreement(0.3, 0.3, 0.0), math.nan, sharp=False).fits  # and nothing is tried again
+    assert evidence(0.0, 0.0, sharp=False, least=0.0).is_enough
+    assert evidence(0.3, math.nan, sharp=False, least=0.0).fits  # and nothing is tried again
 
 
 def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
@@ -236,11 +215,11 @@ def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_th
     z, R = np.column_stack([np.full(9, 2.0), 0.3 * np.arange(9)]), 1e-4 * np.eye(18)
     estimate.augment(z, R, np.arange(9))
     guard.lose()
-    metre = Odometry(np.array([[1.0, 0.0]]), np.array([np.diag([1e-4, 1e-4])]), bumper=False)
+    metre = make.odometry([1.0, 0.0], (0.01, 0.01))
 
     def drive(share: float) -> bool:
         guard.follow(metre)
-        guard.trusts(seen(share, 0.0))
+        guard.trusts(evidence(share, 0.0))
         return guard.resumes(estimate, 20)
 
     while guard.unmapped + 1.0 <= REACH_M:
@@ -281,20 +260,20 @@ def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
     guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
     belief = mapped[1].belief
     assert guard.confidence(belief) > 0.99
-    assert guard.trusts(seen(1.0, 1.0))
-    assert not guard.trusts(seen(0.3, 0.1))
+    assert guard.trusts(evidence(1.0, 1.0))
+    assert not guard.trusts(evidence(0.3, 0.1))
     assert guard.localised
-    assert guard.trusts(seen(1.0, 1.0))
+    assert guard.trusts(evidence(1.0, 1.0))
     for _ in range(2):
-        assert not guard.trusts(seen(0.3, 0.1))
+        assert not guard.trusts(evidence(0.3, 0.1))
     assert not guard.localised
     assert guard.confidence(belief) < 0.01
-    assert not guard.trusts(seen(1.0, 1.0))  # only a search ends it
+    assert not guard.trusts(evidence(1.0, 1.0))  # only a search ends it
 
 
 def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
     """A map that is bent or a wall that was moved contradicts it; a track that began elsewhere is a carried robot's."""
-    broken = seen(0.3, 0.1)._replace(tracked=True)
+    broken = evidence(0.3, 0.1, tracked=True)
     guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
     assert all(guard.trusts(broken._replace(vouched=True)) for _ in range(20))
     assert not guard.trusts(broken)
@@ -308,21 +287,21 @@ def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
 
 def test_a_doubt_stays_until_something_speaks_for_the_pose():
     """Of two known corners beyond the mapped floor it is unknown where they were seen from."""
-    guard, silent = PoseGuard(CONFIG, REACH_M, TURN_RAD), seen(math.nan, math.nan)
+    guard, silent = PoseGuard(CONFIG, REACH_M, TURN_RAD), evidence(math.nan, math.nan)
     assert guard.trusts(silent)
-    assert not guard.trusts(seen(0.3, 0.1))
+    assert not guard.trusts(evidence(0.3, 0.1))
     assert not any(guard.trusts(silent) for _ in range(10))
     assert guard.localised
-    assert guard.trusts(seen(math.nan, 1.0))
+    assert guard.trusts(evidence(math.nan, 1.0))
     assert guard.trusts(silent)
-    assert not guard.trusts(seen(0.3, 0.1))
-    assert guard.trusts(seen(math.nan, 0.2))  # a few recognised corners beyond the mapped floor say something
+    assert not guard.trusts(evidence(0.3, 0.1))
+    assert guard.trusts(evidence(math.nan, 0.2))  # a few recognised corners beyond the mapped floor say something
 
 
 def test_where_nothing_is_mapped_confidence_stays(mapped):
     guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
     before = guard.confidence(belief)
-    assert guard.trusts(seen(math.nan, 0.2))
+    assert guard.trusts(evidence(math.nan, 0.2))
     assert guard.confidence(belief) == before
 
 
@@ -394,35 +373,33 @@ def test_a_robot_carried_to_the_other_room_is_noticed_and_found(mapped):
     ],
 )
 def test_another_attempt_must_explain_more(one, other, beats):
-    assert seen(*one, sharp=False).beats(seen(*other)) == beats
-    assert not seen(*one).doubted().is_enough
+    assert evidence(*one, sharp=False).beats(evidence(*other)) == beats
+    assert not evidence(*one).doubted().is_enough
 
 
 def test_a_pose_that_moves_beams_off_the_map_does_not_explain_more():
     """As in the log fr079: four walls 0.17 m off, which more corners fit, while a fifth of the beams leave the map."""
-    here = Evidence(Agreement(0.93, 0.89, CONFIG.explained_share), 0.25, sharp=True)
-    there = Evidence(Agreement(0.95, 0.68, CONFIG.explained_share), 1.0, sharp=False)
-    assert not there.beats(here)
-    assert there._replace(said=there.said._replace(explained=0.9)).beats(here)
+    here = evidence(0.93, 0.25, explained=0.89)
+    assert not evidence(0.95, 1.0, sharp=False, explained=0.68).beats(here)
+    assert evidence(0.95, 1.0, sharp=False, explained=0.9).beats(here)
 
 
 def test_corners_that_are_missing_where_all_is_mapped_do_not_fit():
-    assert seen(1.0, 1.0).fits
-    assert not seen(1.0, 0.1).fits
-    assert seen(1.0, math.nan).fits
-    frontier = Evidence(Agreement(1.0, 0.5, CONFIG.explained_share), 0.1, sharp=True)
-    assert frontier.fits
-    assert seen(math.nan, 0.2).fits  # new
-    assert seen(math.nan, math.nan).fits
-    assert not seen(math.nan, 0.0).fits
+    assert evidence(1.0, 1.0).fits
+    assert not evidence(1.0, 0.1).fits
+    assert evidence(1.0, math.nan).fits
+    assert evidence(1.0, 0.1, explained=0.5).fits  # at a frontier
+    assert evidence(math.nan, 0.2).fits  # new
+    assert evidence(math.nan, math.nan).fits
+    assert not evidence(math.nan, 0.0).fits
 
 
 def test_corners_that_are_all_gone_in_one_step_do_not_fit():
-    new = seen(0.9, 0.0)._replace(said=Agreement(0.9, 0.5, CONFIG.explained_share))
-    assert new.fits  # a new room, as the scan before showed little of the map, too
-    assert not new._replace(sudden=True).fits
-    assert seen(0.9, 0.7)._replace(sudden=True).fits  # most are recognised all the same
-    assert seen(1.0, 0.8, sharp=False).beats(seen(math.nan, 0.0))  # nothing is mapped at the prediction
+    new = {"share": 0.9, "recognised": 0.0, "explained": 0.5}
+    assert evidence(**new).fits  # a new room, as the scan before showed little of the map, too
+    assert not evidence(**new, sudden=True).fits
+    assert evidence(0.9, 0.7, sudden=True).fits  # most are recognised all the same
+    assert evidence(1.0, 0.8, sharp=False).beats(evidence(math.nan, 0.0))  # nothing is mapped at the prediction
 
 
 def test_a_robot_in_a_saved_map_finds_its_pose(mapped, tmp_path):

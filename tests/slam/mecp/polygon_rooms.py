@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from mecp_env.slam.messages import CornerKind, Corners, Doorways, MergedScan
+from mecp_env.slam.messages import CornerKind
+from tests.slam import make
+from tests.slam.make import MIDDLES
 
 ROOMS = {
     "rectangle": [(0, 0), (6, 0), (6, 4), (0, 4)],
@@ -15,7 +17,6 @@ ROOMS = {
     "cross": [(2, 0), (4, 0), (4, 2), (6, 2), (6, 4), (4, 4), (4, 6), (2, 6), (2, 4), (0, 4), (0, 2), (2, 2)],
 }
 BOX = [(2.6, 1.3), (2.6, 2.1), (3.4, 2.1), (3.4, 1.3)]
-BEARINGS = (np.arange(720) + 0.5) * np.pi / 360 - np.pi
 
 
 def walls_of(*rings):
@@ -43,11 +44,11 @@ def sees(walls, origin, points):
 
 def beams_of(walls, pose, rng=None, sigma=0.0, max_range=30.0):
     """The beams of a scan at pose (3,)."""
-    angles = BEARINGS + pose[2]
+    angles = MIDDLES + pose[2]
     ranges = hit_ranges(walls, np.asarray(pose[:2]), np.column_stack([np.cos(angles), np.sin(angles)]))
     hit = ranges < max_range
     ranges = np.minimum(ranges + (0.0 if rng is None else rng.normal(0, sigma, 720)), max_range)
-    return MergedScan(ranges, BEARINGS, hit, np.ones(720, np.int64), max_range, ranges, BEARINGS)
+    return make.beams(ranges, MIDDLES, hit, max_range_m=max_range)
 
 
 def corners_of(points, pose, *, sigma=0.005, kinds=None, doors=()):
@@ -58,13 +59,10 @@ def corners_of(points, pose, *, sigma=0.005, kinds=None, doors=()):
     z = np.column_stack([np.hypot(*offset.T), bearing])[order]
     n = len(z)
     spread = np.column_stack([np.full(n, sigma), sigma / z[:, 0]]).ravel()
-    kind = np.full(n, CornerKind.CROSSING, np.int64) if kinds is None else np.asarray(kinds, np.int64)[order]
-    place = np.argsort(order)
-    jambs = np.array([[place[a], place[b]] for a, b in doors], np.int64).reshape(-1, 2)
-    doorways = Doorways(jambs, np.full(len(jambs), 0.9), np.ones(len(jambs), np.bool_))
-    blank = np.full((n, 2), np.nan)
-    beyond = np.full(n, -1, np.int64)
-    return Corners(z, np.diag(spread**2), kind, np.ones(n, np.bool_), blank, beyond, kind != CornerKind.JAMB, doorways)
+    kind = np.full(n, CornerKind.CROSSING) if kinds is None else np.asarray(kinds)[order]
+    gaps = make.doorways(np.argsort(order)[np.array(doors, np.int64)])
+    marks = {"kind": kind, "normals": np.nan, "sites": kind != CornerKind.JAMB}
+    return make.corners(z, cov=np.diag(spread**2), gaps=gaps, **marks)
 
 
 def inside(ring, point):

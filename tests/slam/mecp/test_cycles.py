@@ -11,19 +11,14 @@ import pytest
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.frontend.clustering import wall_beams
 from mecp_env.slam.mecp.cycles import best_cycles, order_by_bearing, quietest_gap, visible_edges
-from mecp_env.slam.mecp.edge_labels import (
-    EdgeBeams,
-    edge_between,
-    edge_is_cut,
-    from_normal,
-    passing_intervals,
-)
+from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut, from_normal, passing_intervals
 from mecp_env.slam.mecp.wall_crossing import best_free_cycles
+from tests.slam import make
+from tests.slam.make import MIDDLES
 from tests.slam.mecp.reference import largest_empty_convex_polygons
 from tests.slam.mecp.test_polygons import convex_rings, edges, twice_area
 
 LIMITS = PolygonConfig().record[0]
-BEARINGS = (np.arange(720) + 0.5) * np.pi / 360 - np.pi
 
 
 def random_sites(rng, n, tolerance):
@@ -187,11 +182,11 @@ def random_edge(rng):
 def beams_of_edge(a, b):
     """Indices of the beams between a and b in order, and where along each beam the edge stands."""
     start = np.arctan2(a[1], a[0])
-    after = np.mod(BEARINGS - start, 2 * np.pi)
+    after = np.mod(MIDDLES - start, 2 * np.pi)
     span = np.mod(np.arctan2(b[1], b[0]) - start, 2 * np.pi)
     beams = np.flatnonzero((after < span) & (after > 0))
     beams = beams[np.argsort(after[beams])]
-    u = np.column_stack([np.cos(BEARINGS[beams]), np.sin(BEARINGS[beams])])
+    u = np.column_stack([np.cos(MIDDLES[beams]), np.sin(MIDDLES[beams])])
     d = (b - a) / np.hypot(*(b - a))
     return beams, u, cross(a, d) / (u[:, 0] * d[1] - u[:, 1] * d[0])
 
@@ -209,14 +204,14 @@ def random_view(rng, a, b):
     beams, _, stands = beams_of_edge(a, b)
     offsets = np.repeat(rng.choice([-0.5, -0.19, 0.0, 0.02, 0.5, 3.0], 720), rng.integers(1, 40, 720))[: len(beams)]
     ranges[beams] = np.maximum(stands + offsets, 0.05)
-    return EdgeBeams(ranges, BEARINGS, rng.random(720) < 0.9, math.pi / 360.0)
+    return make.edge_beams(ranges, rng.random(720) < 0.9)
 
 
 def test_beams_between_two_bearings_are_counted_around_the_end():
     rng = np.random.default_rng(7)
     for _ in range(500):
         a, b = random_edge(rng)
-        edge = edge_of(a, b, 0.0, EdgeBeams(np.ones(720), BEARINGS, np.ones(720, np.bool_), math.pi / 360.0))
+        edge = edge_of(a, b, 0.0, make.edge_beams(1.0))
         assert [(edge.first + step) % 720 for step in range(edge.beams)] == beams_of_edge(a, b)[0].tolist()
 
 
@@ -255,7 +250,7 @@ def plain_intervals(a, b, tolerance, view):
     ranges = view.ranges[beams]
     passes = (ranges - 0.2 > stands) & (across(a, b, ranges[:, None] * u, stands) > tolerance)
     told = ranges + 0.2 >= stands
-    bearing, passes = np.unwrap(BEARINGS[beams])[told], passes[told]
+    bearing, passes = np.unwrap(MIDDLES[beams])[told], passes[told]
     d = (b - a) / np.hypot(*(b - a))
     middle = 0.5 * (bearing[1:] + bearing[:-1])
     along = cross(a, d) / (np.cos(middle) * d[1] - np.sin(middle) * d[0])
@@ -282,7 +277,7 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
         points = random_sites(rng, rng.integers(0, 14), 0.1)
         sigmas = rng.uniform(0.002, 0.014, len(points))
         tolerance = 2.5 * (sorted(sigmas)[len(sigmas) // 2] if len(sigmas) else 0.0)  # of the upper median
-        view = EdgeBeams(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_), math.pi / 360.0)
+        view = make.edge_beams(np.repeat(rng.uniform(0.5, 6.0, 72), 10))
         allowed = visible_edges(points, tolerance)
         free = allowed.copy()
         for i, j in np.argwhere(allowed):

@@ -16,14 +16,15 @@ from mecp_env.slam import config
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp import STRUCTURES, find_structure, register_structure
 from mecp_env.slam.mecp.cycles import best_cycles, visible_edges
-from mecp_env.slam.mecp.edge_labels import EdgeBeams, edge_between, edge_is_cut
+from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut
 from mecp_env.slam.mecp.largest_area import largest_cycle
 from mecp_env.slam.mecp.wall_crossing import best_free_cycles
 from mecp_env.slam.messages import Polygon
 from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam import make
 from tests.slam.drives import scripted_drive
 from tests.slam.mecp.polygon_rooms import beams_of, corners_of, sees
-from tests.slam.mecp.test_cycles import BEARINGS, LIMITS, off_chord, plain_visible_edges, random_sites
+from tests.slam.mecp.test_cycles import LIMITS, off_chord, plain_visible_edges, random_sites
 from tests.slam.mecp.test_polygon_scan import ring_of, rooms
 from tests.slam.mecp.test_polygons import convex_rings, edges, twice_area
 
@@ -124,7 +125,7 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
     for _ in range(200):
         points = random_sites(rng, rng.integers(0, 14), 0.1)
         sigmas = np.full(len(points), 0.008)
-        view = EdgeBeams(np.repeat(rng.uniform(0.5, 6.0, 72), 10), BEARINGS, np.ones(720, np.bool_), math.pi / 360.0)
+        view = make.edge_beams(np.repeat(rng.uniform(0.5, 6.0, 72), 10))
         allowed = visible_edges(points, 0.02)
         free = allowed.copy()
         for i, j in np.argwhere(allowed):

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.panorama.pose_marks import marks_seen, poses_of_marks, poses_since, seen_from
+from tests.slam import make
 
 MARKS = np.array([-2, -3])
 TINY = np.eye(3) * 1e-12
@@ -22,9 +22,7 @@ POSE, SPREAD = (
 
 
 def drive(landmark_filter, increments, sigma_m=0.03, sigma_rad=0.02):
-    count = len(increments)
-    cov = np.tile(np.diag([sigma_m**2, sigma_rad**2]), (count, 1, 1))
-    landmark_filter.predict(Odometry(np.array(increments), cov, False))
+    landmark_filter.predict(make.odometry(increments, (sigma_m, sigma_rad)))
 
 
 @pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])

@@ -9,7 +9,7 @@ from mecp_env.core.se2 import inside_polygon, polar_to_points
 from mecp_env.slam.config import FilterConfig, PanoramaConfig, SensorModel, SlamConfig
 from mecp_env.slam.panorama.recent_scans import RecentScans
 from mecp_env.slam.pipeline import SlamPipeline
-from tests.slam.drives import scripted_drive
+from tests.slam.drives import fed, scripted_drive
 
 HALF = {"field_of_view_deg": 180.0, "beams": 360}
 
@@ -105,8 +105,7 @@ def test_a_lost_pose_empties_the_window(drive):
 def test_a_map_with_a_window_goes_on_to_the_bit(drive, tmp_path):
     pipeline, cut = SlamPipeline(half()), len(drive.scans) // 2
     steps = list(zip(drive.odometry, drive.scans, strict=True))
-    for odometry, scan in steps[:cut]:
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    *_, output = fed(pipeline, drive, last=cut)
     pipeline.save_map(tmp_path / "map.zip")
     loaded = SlamPipeline.from_map(tmp_path / "map.zip")
     for odometry, scan in steps[cut : cut + 20]:

@@ -12,8 +12,9 @@ from mecp_env.core.se2 import inverse, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.panorama import registration
-from mecp_env.slam.panorama.registration import Registration, RegistrationLimits, register
+from mecp_env.slam.panorama.registration import RegistrationLimits, register
 from mecp_env.slam.panorama.surfaces import surfaces_of
+from tests.slam import make
 from tests.slam.scans import PAPER, front_end, ring, take_scan
 
 CONFIG = SlamConfig()
@@ -98,14 +99,10 @@ def test_what_the_prior_hardly_allows_is_compared_with_a_registration_of_all_poi
 
     def register_all(past, now, past_beams, prior, limits, told=()):
         turn = turns[len(past)]
-        return None if turn is None else told_turn(turn, 50)
+        return None if turn is None else make.registration(turn, 50)
 
     monkeypatch.setattr(registration, "register_all", register_all)
     assert register(past, past, beams, (np.zeros(3), PRIOR), LIMITS).T_past_now[2] == expected
-
-
-def told_turn(turn, paired, against=0):
-    return Registration(np.array([0.0, 0.0, turn]), 1e6 * np.eye(3), np.arange(paired), against)
 
 
 @pytest.mark.parametrize(("paired", "expected"), [(170, 1.0), (110, 0.8)])
@@ -114,7 +111,7 @@ def test_many_more_points_that_agree_outweigh_the_prior(monkeypatch, paired, exp
     past, beams = surfaces_and_beams(ROOM, 1)
 
     def from_start(T, past, now, past_beams, prior, limits):
-        return [told_turn(1.0, paired) if T[2] > 0.3 else told_turn(0.8, 105, 4)]
+        return [make.registration(1.0, paired) if T[2] > 0.3 else make.registration(0.8, 105, 4)]
 
     monkeypatch.setattr(registration, "_from", from_start)
     assert register(past, past, beams, (np.zeros(3), PRIOR), replace(LIMITS, turn_rad=1.0)).T_past_now[2] == expected

@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
-from mecp_env.slam.messages import Belief, Corners, Decision, Door, Doorways, MapPolygon, Match, Sighting
 from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, record_doorways, rename_jambs
 from mecp_env.slam.rooms.limits import RoomLimits
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 from mecp_env.slam.rooms.trail import Trail
-from tests.slam.tables import table_of
+from tests.slam import make
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
 LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, left is -x
@@ -24,43 +24,17 @@ THIN_WALLS = RoomLimits.of(SlamConfig(corners=CornerConfig(wall_thickness_m=0.4)
 
 def belief_at(x, y, heading=0.0):
     points = {**LOWER, **UPPER, **OTHERS}
-    p_map = np.array([points[i] for i in sorted(points)])
-    return Belief(
-        np.array([x, y, heading]), np.eye(3) * 1e-6, np.arange(10), p_map, np.tile(np.eye(2) * 1e-6, (10, 1, 1))
-    )
+    return make.belief((x, y, heading), [points[i] for i in sorted(points)], covs=1e-6)
 
 
 def features():
-    return table_of(10, state=1, convex=True, seen=1)
+    return make.features(10, state=1, convex=True, seen=1)
 
 
 def sighting(belief, ids, pairs=(), confirmable=True):
     """Corners and match of a scan that sees the landmarks `ids`, `pairs` of them (positions in ids) as doorways."""
-    offset = belief.p_map[list(ids)] - belief.T_map_robot[:2]
-    z = np.stack((np.hypot(*offset.T), np.arctan2(offset[:, 1], offset[:, 0]) - belief.T_map_robot[2]), axis=1)
-    n = len(ids)
-    doorways = Doorways(
-        np.array(pairs, np.int64).reshape(-1, 2), np.full(len(pairs), 0.9), np.full(len(pairs), confirmable)
-    )
-    corners = Corners(
-        z,
-        np.eye(2 * n) * 1e-6,
-        np.zeros(n, np.int64),
-        np.ones(n, np.bool_),
-        np.zeros((n, 2)),
-        np.full(n, -1, np.int64),
-        np.ones(n, np.bool_),
-        doorways,
-    )
-    match = Match(
-        np.array(ids, np.int64),
-        np.full(n, int(Decision.LANDMARK), np.int64),
-        np.zeros(n, np.int64),
-        np.zeros(n),
-        -1,
-        -1,
-    )
-    return corners, match
+    points = to_robot(belief.T_map_robot, belief.p_map[list(ids)])
+    return make.corners(points=points, cov=1e-6, gaps=make.doorways(pairs, confirmable)), make.match(ids, nis=0.0)
 
 
 def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_room=None):
@@ -68,9 +42,9 @@ def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_ro
     corners, through = keeper.mark_beyond(corners, belief)
     known = []
     if polygon_room is not None:
-        known = [MapPolygon(match.ids, np.empty((0, 4)), polygon_room)]
+        known = [make.map_polygon(match.ids, polygon_room)]
         match = replace(match, polygon=0, known=0)
-    keeper.update(Sighting(corners, match, through, belief, 0), table or features(), known)
+    keeper.update(make.sighting(corners, match, belief, through=through), table or features(), known)
 
 
 def keeper_with_door():
@@ -239,7 +213,7 @@ def test_a_door_passed_and_passed_again_parts_nothing():
 def test_a_door_first_seen_through_another_is_given_to_the_room_that_it_is_seen_from():
     keeper = keeper_with_door()
     walk(keeper, (-0.5, 0.0, 0.5))
-    beyond = Door(1, (7, 8), None, (0, -1), 3)  # a door of the upper room, seen through the first one
+    beyond = make.door(1, (7, 8))  # a door of the upper room, seen through the first one
     keeper.door_map.set_doors([*keeper.door_map.doors, beyond])
     look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),), confirmable=False)
     assert keeper.door_map.doors[1].rooms == (0, -1)
@@ -376,7 +350,7 @@ def test_being_behind_a_door_of_other_rooms_is_no_crossing():
 
 def test_fused_jambs_keep_the_door():
     book = DoorMap([], [], {(0, 1): 3, (9, 1): 1}, 1)
-    book.set_doors([Door(0, (0, 1), None, (0, -1), 3)])
+    book.set_doors([make.door()])
     rename_jambs(book, 9, 0)
     assert book.doors[0].jambs == (9, 1)
     assert book.sightings == {(9, 1): 4}
@@ -387,8 +361,7 @@ def test_a_candidate_goes_when_its_door_is_confirmed():
     belief = belief_at(0.0, -1.5)
     corners, match = sighting(belief, (0, 1), ((0, 1),))
     for step in range(4):
-        seen = Sighting(corners, match, np.full(2, -1), belief, step)
-        record_doorways(book, seen, features(), 0, LIMITS)
+        record_doorways(book, make.sighting(corners, match, belief, step), features(), 0, LIMITS)
     assert len(book.doors) == 1
     assert not book.candidates
 
@@ -408,7 +381,7 @@ def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now(
     keeper = RoomGraphEstimator(LIMITS)
     keeper.current, keeper.rooms, keeper.next_room = 1, [0, 1], 2
     look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
-    keeper._merge(1, 0, features(), belief_at(0.0, -1.5))
+    keeper.rooms, keeper.merged = [0], {1: 0}
     keeper.place(0)
     walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5))
     assert [door.rooms for door in keeper.door_map.doors] == [(0, 2)]

@@ -11,7 +11,7 @@ from scipy.optimize import least_squares
 from mecp_env.core.array_types import Array
 from mecp_env.core.trajectories import wrapped
 from mecp_env.slam.smoothing import Links, PoseGraph, Sightings, SmoothingError, smooth
-from tests.slam.smoothing.graphs import drive, error_m
+from tests.slam.smoothing.make import drive, error_m
 
 SEEDS = range(12)
 
@@ -118,7 +118,8 @@ def test_a_robot_that_was_carried_is_no_odometry() -> None:
     carried[20] += [2.0, -1.0, 1.0]
     kept = ~((one.graph.registrations.start <= 20) & (one.graph.registrations.end > 20))
     parts = one.graph.registrations
-    parts = Links(parts.start[kept], parts.end[kept], parts.T_start_end[kept], parts.information[kept])
+    measured = {"T_start_end": parts.T_start_end[kept], "information": parts.information[kept]}
+    parts = replace(parts, start=parts.start[kept], end=parts.end[kept], **measured)
     graph = replace(one.graph, odometry=replace(odometry, T_start_end=carried), registrations=parts)
     assert error_m(smooth(graph).T_map_laser, one.T_map_laser) < 0.05
     assert error_m(smooth(graph, None).T_map_laser, one.T_map_laser) > 0.1

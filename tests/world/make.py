@@ -1,0 +1,14 @@
+"""Builders of what the world passes on."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mecp_env.world.simulation import Motion
+
+
+def motion(*arcs: Any, steps: int = 1, contact: bool = False) -> Motion:
+    """Arcs of distance (m) and turn (rad), `steps` times."""
+    return Motion(np.array(arcs * steps, float), contact)
