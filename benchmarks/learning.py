@@ -29,11 +29,11 @@ def run(options: Options) -> Figures:
     return {name: compare(name, rounds, seconds, updates) for name in ALGORITHMS}
 
 
-def compare(algorithm: str, rounds: int, seconds: float, updates: int) -> Figures:
-    """Speed of an algorithm over the rounds."""
-    single = Single(algorithm)
+def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:
+    """Speed of an algorithm over the rounds; `fields` of the configuration."""
+    single = Single(algorithm, fields)
     single.measure(seconds)  # loads compiled functions and fills caches
-    measured = [(single.measure(seconds), *train(algorithm, updates)) for _ in range(rounds)]
+    measured = [(single.measure(seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
     alone, rates, waiting = (np.array(column) for column in zip(*measured, strict=True))
     return {
         "steps_per_s": estimate(rates),
@@ -43,35 +43,35 @@ def compare(algorithm: str, rounds: int, seconds: float, updates: int) -> Figure
     }
 
 
-def train(algorithm: str, updates: int) -> tuple[float, float]:
+def train(algorithm: str, updates: int, fields: dict[str, Any]) -> tuple[float, float]:
     """Control steps per second and share of waiting of a training, means of its updates but the first."""
     from mecp_env.learning.train import train as run_training
 
     with tempfile.TemporaryDirectory() as folder:
-        run_training(configuration(algorithm, updates), Path(folder) / "run")
+        run_training(configuration(algorithm, fields, updates), Path(folder) / "run")
         with (Path(folder) / "run" / "progress.csv").open() as lines:
             rows = list(csv.DictReader(lines))[1:updates]
     rate, waiting = (float(np.mean([float(row[name]) for row in rows])) for name in (RATE, WAITING))
     return rate, waiting
 
 
-def configuration(algorithm: str, updates: int = 1) -> Any:
+def configuration(algorithm: str, fields: dict[str, Any], updates: int = 1) -> Any:
     """Default settings, without evaluations and checkpoints."""
     from mecp_env.learning.config import TrainConfig
 
     log = {"evaluate_buildings": 0, "tensorboard": False, "checkpoint_s": 86_400.0}
-    config = TrainConfig.build({"algorithm": algorithm, "log": log})
+    config = TrainConfig.build({"algorithm": algorithm, "log": log} | fields)
     return config.model_copy(update={"steps": config.ppo.steps * config.environments * updates})
 
 
 class Single:
     """An environment of a training, driven with random actions."""
 
-    def __init__(self, algorithm: str) -> None:
+    def __init__(self, algorithm: str, fields: dict[str, Any]) -> None:
         from mecp_env.learning.environments import make_env
 
         self.goals = algorithm == "maskable_ppo"
-        self.env, self.rng = make_env(configuration(algorithm)), np.random.default_rng(0)
+        self.env, self.rng = make_env(configuration(algorithm, fields)), np.random.default_rng(0)
         self.observation = self.env.reset(seed=0)[0]
 
     def measure(self, seconds: float) -> float:
