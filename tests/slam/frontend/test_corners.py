@@ -10,9 +10,11 @@ import pytest
 from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
+from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.door_gaps import widening
 from mecp_env.slam.frontend.line_ends import EndBearing, write_end
-from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
+from mecp_env.slam.frontend.line_intersections import RolledScan, empty_corners, write_intersection
 from mecp_env.slam.messages import CornerKind
 from tests.slam.scans import (
     EXACT,
@@ -439,3 +441,14 @@ def test_short_faces_can_be_left_out():
     )
     at(polar_to_points(with_faces.z), 3.0, 1.0)
     assert not (np.hypot(*(polar_to_points(without.z) - [3.0, 1.0]).T) < 0.3).any()
+
+
+@pytest.mark.parametrize(("passing", "sides"), [(0, -1), (3, -1), (4, 2), (7, 2)])
+def test_the_floor_gets_wider_where_more_beams_pass_the_line_of_a_jamb_than_stop_there(passing, sides):
+    x, y = np.meshgrid(np.linspace(2.77, 2.98, 7), [-0.8, 0.8])  # just deeper behind the gap than any wall
+    beyond = np.tile(np.where(np.arange(7) < passing, 2.0, 0.0), 2)
+    bearings, ranges = np.arctan2(y, x).ravel(), np.hypot(x, y).ravel() + beyond
+    polar = np.stack([ranges, bearings, np.ones(14)])[:, np.argsort(bearings)]
+    scan = RolledScan(polar, np.ones(14, dtype=bool), ranges, bearings, 0, DEG, 30.0)
+    rules = CornerConfig().record[0], CornerConfig().gaps.record[0], laser_noise(EXACT.record)
+    assert widening(scan, (2.0, -0.8), (2.0, 0.8), *rules) == sides

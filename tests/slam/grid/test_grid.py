@@ -325,3 +325,12 @@ def test_asked_to_look_again_it_paints_a_scan_from_the_same_place() -> None:
     assert len(toy.painter.scans.room) == scans + 1
     drive(toy, [(2.0, 2.0)])
     assert len(toy.painter.scans.room) == scans + 1
+
+
+def test_a_pocket_that_a_scan_was_taken_in_is_no_wall(tour: Toy) -> None:
+    """A laser with a blind side does not see the floor that the robot stands on."""
+    toy = copy.deepcopy(tour)
+    canvas, pillar, complete = toy.painter.canvas, np.array([[12.2, 2.0]]), np.array([False, True])
+    for p_laser, label in ((np.array([[9.0, 1.2]]), Cell.OCCUPIED), (pillar, Cell.UNKNOWN)):
+        canvas.fill_pockets(complete, toy.painter.config.occupied_ratio, p_laser)
+        assert labels_at(canvas.publish(toy.painter.config.occupied_ratio), pillar) == [label]
