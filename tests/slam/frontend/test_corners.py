@@ -452,3 +452,23 @@ def test_the_floor_gets_wider_where_more_beams_pass_the_line_of_a_jamb_than_stop
     scan = RolledScan(polar, np.ones(14, dtype=bool), ranges, bearings, 0, DEG, 30.0)
     rules = CornerConfig().record[0], CornerConfig().gaps.record[0], laser_noise(EXACT.record)
     assert widening(scan, (2.0, -0.8), (2.0, 0.8), *rules) == sides
+
+
+def test_corners_before_a_door_and_aside_of_it_are_not_behind_it():
+    door = with_door()[:2]  # the right jamb, and its face
+    left = chain((2.12, 0.45), (2.0, 0.45), (2.0, 1.5), (3.2, 1.5), (3.2, 3.0), (-2.0, 3.0), (-2.0, -2.0), (2.0, -2.0))
+    before = ring((1.2, -0.15), (1.2, 0.15), (1.36, 0.15), (1.36, -0.15))
+    behind = chain((2.12, -0.45), (2.12, -2.0), (5.0, -2.0), (5.0, 1.4), (2.12, 1.4), (2.12, 0.45))
+    for seed in range(3):
+        corners, points = corners_of(np.concatenate([door, left, before, behind]), LMS200, seed)
+        assert len(corners.doorways.jambs) == 1
+        assert corners.beyond[at(points, 1.2, 0.15)] == -1
+        assert corners.beyond[at(points, 3.2, 3.0)] == -1
+
+
+def test_a_gap_beside_the_corner_of_something_deep_is_no_door():
+    deep = chain((2.0, -2.0), (2.0, -0.45), (3.2, -0.45), (3.2, -2.0), (5.0, -2.0))
+    thin = chain((5.0, 2.0), (2.12, 2.0), (2.12, 0.45), (2.0, 0.45), (2.0, 2.0))
+    around = np.concatenate([chain((5.0, -2.0), (5.0, 2.0)), chain((2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0), (2.0, -2.0))])
+    for seed in range(3):
+        assert len(corners_of(np.concatenate([deep, thin, around]), LMS200, seed)[0].doorways.jambs) == 0
