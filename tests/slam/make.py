@@ -10,6 +10,7 @@ import numpy as np
 from mecp_env.core.messages import Odometry, Scan
 from mecp_env.slam.association.cliques import Headings
 from mecp_env.slam.frontend.line_ends import EndBearing
+from mecp_env.slam.frontend.line_intersections import RolledScan
 from mecp_env.slam.grid.canvas import NOTHING
 from mecp_env.slam.grid.cells import Raster
 from mecp_env.slam.localisation.hypotheses import Hypothesis
@@ -256,14 +257,19 @@ def hypothesis(
     return Hypothesis(Located(np.array(at), np.eye(3), np.arange(len(ids)), integers(ids)), share, explained, near)
 
 
-def registration(turn: float, paired: int, against: int = 0) -> Registration:
-    """A precise one of a scan that was taken where the past one was."""
-    return Registration(np.array([0.0, 0.0, turn]), 1e6 * np.eye(3), np.arange(paired), against)
+def registration(turn: float, paired: int, against: int = 0, x: float = 0.0) -> Registration:
+    """A precise one of a scan that was taken where the past one was, or at `x` ahead of it."""
+    return Registration(np.array([x, 0.0, turn]), 1e6 * np.eye(3), np.arange(paired), against)
 
 
 def raster(height: int, width: int, lattice: Any) -> Raster:
     """For painting on (height, width) cells, of which nothing is marked."""
     return Raster(np.zeros((height, width + 1), np.uint8), lattice, np.array(NOTHING), 0.1)
+
+
+def rolled_scan(polar: Any, hit: Any, ranges: Any, bearings: Any, step: float, max_range_m: float) -> RolledScan:
+    """Beams in order of bearing, from the first one on."""
+    return RolledScan(polar, hit, ranges, bearings, 0, step, max_range_m)
 
 
 def end_bearing(bearing: float, variance: float = 1e-4) -> EndBearing:

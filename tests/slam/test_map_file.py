@@ -349,3 +349,15 @@ def test_the_limits_on_what_is_made_leave_room_for_large_maps(
     assert (np.array(loaded.grid.canvas.grid.label.shape) >= (1200, 2000)).all()
     assert same(encode(loaded), encode(pipeline))
     assert same(run(loaded, drive, 20, 22), run(pipeline, drive, 20, 22))
+
+
+def test_a_map_with_cells_of_another_size_than_configured_is_refused(saved: Path) -> None:
+    state = changed(SlamMap.load(saved), "grid.canvas.resolution_m", 0.07)
+    with pytest.raises(MapError, match=r"grid\.canvas\.resolution_m: 0\.07, configured"):
+        SlamPipeline.from_map(state)
+
+
+def test_a_map_whose_filter_has_another_shape_is_refused(saved: Path) -> None:
+    state = changed(SlamMap.load(saved), "filter.state", {"@array": [np.zeros((301, 303)), True]})
+    with pytest.raises(MapError, match=r"filter: state \(301, 303\) for slot_ids"):
+        SlamPipeline.from_map(state)

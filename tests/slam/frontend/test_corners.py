@@ -9,7 +9,9 @@ import pytest
 
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
+from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.frontend.corners import extract_corners
+from mecp_env.slam.frontend.door_gaps import widening
 from mecp_env.slam.frontend.line_ends import write_end
 from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
 from mecp_env.slam.messages import CornerKind
@@ -438,3 +440,34 @@ def test_short_faces_can_be_left_out():
     )
     at(polar_to_points(with_faces.z), 3.0, 1.0)
     assert not (np.hypot(*(polar_to_points(without.z) - [3.0, 1.0]).T) < 0.3).any()
+
+
+@pytest.mark.parametrize(("passing", "sides"), [(0, -1), (3, -1), (4, 2), (7, 2)])
+def test_the_floor_gets_wider_where_more_beams_pass_the_line_of_a_jamb_than_stop_there(passing, sides):
+    x, y = np.meshgrid(np.linspace(2.77, 2.98, 7), [-0.8, 0.8])  # just deeper behind the gap than any wall
+    beyond = np.tile(np.where(np.arange(7) < passing, 2.0, 0.0), 2)
+    bearings, ranges = np.arctan2(y, x).ravel(), np.hypot(x, y).ravel() + beyond
+    polar = np.stack([ranges, bearings, np.ones(14)])[:, np.argsort(bearings)]
+    scan = make.rolled_scan(polar, np.ones(14, dtype=bool), ranges, bearings, DEG, 30.0)
+    rules = CornerConfig().record[0], CornerConfig().gaps.record[0], laser_noise(EXACT.record)
+    assert widening(scan, (2.0, -0.8), (2.0, 0.8), *rules) == sides
+
+
+def test_corners_before_a_door_and_aside_of_it_are_not_behind_it():
+    door = with_door()[:2]  # the right jamb, and its face
+    left = chain((2.12, 0.45), (2.0, 0.45), (2.0, 1.5), (3.2, 1.5), (3.2, 3.0), (-2.0, 3.0), (-2.0, -2.0), (2.0, -2.0))
+    before = ring((1.2, -0.15), (1.2, 0.15), (1.36, 0.15), (1.36, -0.15))
+    behind = chain((2.12, -0.45), (2.12, -2.0), (5.0, -2.0), (5.0, 1.4), (2.12, 1.4), (2.12, 0.45))
+    for seed in range(3):
+        corners, points = corners_of(np.concatenate([door, left, before, behind]), LMS200, seed)
+        assert len(corners.doorways.jambs) == 1
+        assert corners.beyond[at(points, 1.2, 0.15)] == -1
+        assert corners.beyond[at(points, 3.2, 3.0)] == -1
+
+
+def test_a_gap_beside_the_corner_of_something_deep_is_no_door():
+    deep = chain((2.0, -2.0), (2.0, -0.45), (3.2, -0.45), (3.2, -2.0), (5.0, -2.0))
+    thin = chain((5.0, 2.0), (2.12, 2.0), (2.12, 0.45), (2.0, 0.45), (2.0, 2.0))
+    around = np.concatenate([chain((5.0, -2.0), (5.0, 2.0)), chain((2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0), (2.0, -2.0))])
+    for seed in range(3):
+        assert len(corners_of(np.concatenate([deep, thin, around]), LMS200, seed)[0].doorways.jambs) == 0

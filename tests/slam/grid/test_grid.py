@@ -11,8 +11,8 @@ import pytest
 
 from mecp_env.core.se2 import compose, to_map
 from mecp_env.slam.config import GridConfig, SensorModel
-from mecp_env.slam.grid.door_sight import split_outline
-from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor
+from mecp_env.slam.grid.door_sight import looks_through, split_outline
+from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor, wall_strips
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.messages import Cell
 from tests.slam import make
@@ -321,3 +321,27 @@ def test_asked_to_look_again_it_paints_a_scan_from_the_same_place() -> None:
     assert len(toy.painter.scans.room) == scans + 1
     drive(toy, [(2.0, 2.0)])
     assert len(toy.painter.scans.room) == scans + 1
+
+
+def test_a_pocket_that_a_scan_was_taken_in_is_no_wall(tour: Toy) -> None:
+    """A laser with a blind side does not see the floor that the robot stands on."""
+    toy = copy.deepcopy(tour)
+    canvas, pillar, complete = toy.painter.canvas, np.array([[12.2, 2.0]]), np.array([False, True])
+    for p_laser, label in ((np.array([[9.0, 1.2]]), Cell.OCCUPIED), (pillar, Cell.UNKNOWN)):
+        canvas.fill_pockets(complete, toy.painter.config.occupied_ratio, p_laser)
+        assert labels_at(canvas.publish(toy.painter.config.occupied_ratio), pillar) == [label]
+
+
+@pytest.mark.parametrize(("reach", "through"), [(4.0, True), (1.5, False)])
+def test_an_edge_of_free_space_may_pass_behind_a_door_where_no_point_of_it_is(reach: float, through: bool) -> None:
+    angle = np.radians([-20.0, 20.0, 140.0, -140.0])
+    outline, door = reach * np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([[2.0, -0.4], [2.0, 0.4]])
+    assert looks_through(outline, np.zeros(2), door) == through
+    assert bool(len(split_outline(outline, np.zeros(2), door)[1])) == through
+
+
+def test_the_strip_behind_a_wall_is_as_long_as_the_wall_where_no_other_follows() -> None:
+    strips = np.empty((1, 4, 2))
+    assert wall_strips(np.array([[[2.0, -1.0], [2.0, 1.0]]]), strips, GridConfig().record) == 1
+    np.testing.assert_allclose(strips[0].min(axis=0), [2.0, -1.0])
+    np.testing.assert_allclose(strips[0].max(axis=0), [2.0 + GridConfig().resolution_m, 1.0])

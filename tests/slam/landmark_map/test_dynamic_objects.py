@@ -11,6 +11,7 @@ from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig
 from mecp_env.slam.landmark_map.dynamic_objects import (
     StaticWorld,
     make_dynamic_objects,
+    whole_bodies,
     without_dynamic,
 )
 from mecp_env.slam.landmark_map.pruning import PruneLimits, find_pruned
@@ -176,3 +177,17 @@ def test_a_segment_goes_when_more_than_half_of_its_beams_end_on_something_that_m
         plain = [of_run[a : b + 1].mean() <= 0.5 for a, b in zip(first, last, strict=True)]
         segments = make.segments(first=first, last=last, roll=roll)
         assert without_dynamic(segments, dynamic).first.tolist() == first[plain].tolist()
+
+
+def test_the_rim_of_a_body_is_dynamic_with_its_middle():
+    bearings = np.linspace(-1.0, 1.0, 201)
+    ranges = np.where(np.abs(bearings) < 0.1, 2.0, 4.0)
+    middle, hit = np.abs(bearings) < 0.05, np.ones(201, dtype=bool)
+    assert (whole_bodies(ranges, bearings, hit, middle, CONFIG.record) == (ranges == 2.0)).all()
+
+
+def test_no_landmark_is_forgotten_where_the_pose_is_too_uncertain():
+    table, where = make.features(1, normals=(math.pi, np.nan)), belief((1.5, 0.5), sigma=1.0)
+    for step in range(1, LIMITS.scans + 3):
+        beams, _, segments, _ = front_end(take_scan(ROOM, seed=step))
+        assert not len(find_pruned(beams, segments, where, table, step, LIMITS))

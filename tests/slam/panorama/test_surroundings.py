@@ -11,9 +11,10 @@ import pytest
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
-from mecp_env.slam.panorama.recent_scans import is_in_room
+from mecp_env.slam.panorama.recent_scans import is_in_room, rooms_like
 from mecp_env.slam.panorama.surfaces import surfaces_of
 from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
+from tests.slam import make
 from tests.slam.panorama.test_pose_marks import SPREAD, numerical_jacobian
 from tests.slam.scans import PAPER, front_end, ring, take_scan
 
@@ -100,3 +101,10 @@ def test_surfaces_are_hits_on_walls_with_the_normals_of_their_segments():
     assert np.array_equal(found.normals, normals[solid])
     assert np.allclose(found.sigmas, sigmas[solid], rtol=1e-15)
     assert 0 < flat[solid].sum() < solid.sum() < len(solid)
+
+
+def test_corners_of_rooms_that_were_merged_into_the_present_one_are_of_it():
+    graph = make.graph(2, (2, 4), merged={0: 1, 1: 2, 3: 4})
+    new, none, still = np.full(1, -1), np.empty(0, np.int64), np.ones(1, dtype=bool)
+    kept = [bool(is_in_room((new, new, still), room, (none, none), rooms_like(graph))[0]) for room in range(5)]
+    assert kept == [True, True, True, False, False]
