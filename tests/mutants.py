@@ -285,11 +285,13 @@ def main() -> int:
     results = {one["mutant"]: one for one in map(json.loads, kept.read_text().splitlines())} if kept.exists() else {}
     chosen = [one for one in drawn(ROOT, given.seed) if given.only in one.name]
     chosen = chosen if given.only else chosen[: given.count]
+    sound = set[str]() if given.again else {name for name in results if name.startswith(str(TESTS))}
     for mutant in chosen:
         before, tests = results.get(mutant.name), tests_of(mutant.file)
         if not before or (given.again and before["end"] == "survived"):
-            if given.again or tests[0] not in results:  # compiles all functions, too
+            if tests[0] not in sound:  # compiles all functions, too
                 keep(kept, results, tests[0], *outcome(tree, tests, (), resource.RLIM_INFINITY))
+                sound.add(tests[0])
                 if results[tests[0]]["end"] != "survived":
                     raise SystemExit(f"without a mutant: {results[tests[0]]}")
             keep(kept, results, mutant.name, *try_out(mutant, tree))

@@ -13,6 +13,7 @@ from mecp_env.core.se2 import compose, to_map
 from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.grid.door_sight import looks_through, split_outline
 from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor, wall_strips
+from mecp_env.slam.grid.layers import without
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.messages import Cell
 from tests.slam import make
@@ -345,3 +346,17 @@ def test_the_strip_behind_a_wall_is_as_long_as_the_wall_where_no_other_follows()
     assert wall_strips(np.array([[[2.0, -1.0], [2.0, 1.0]]]), strips, GridConfig().record) == 1
     np.testing.assert_allclose(strips[0].min(axis=0), [2.0, -1.0])
     np.testing.assert_allclose(strips[0].max(axis=0), [2.0 + GridConfig().resolution_m, 1.0])
+
+
+def test_beams_that_fit_a_line_are_put_onto_it() -> None:
+    beams, segments = look(np.array([3.0, 2.0, 0.0]), np.random.default_rng(0), 0.02)
+    outline, _ = free_and_walls(beams, segments, GridConfig())
+    assert len(outline) < 0.2 * len(beams.ranges)  # the ends of each line
+
+
+def test_polygons_that_stayed_are_not_painted_again() -> None:
+    toy = Toy(np.array([1.0, 2.0, 0.0]))
+    toy.add_polygon([0, 1, 2, 3], 0)
+    toy.add_polygon([8, 9, 10, 11], 1)
+    first, second = toy.polygons
+    assert list(map(id, without([first, second], [second]))) == [id(first)]
