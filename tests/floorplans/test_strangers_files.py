@@ -1,0 +1,119 @@
+"""Plans as strangers have them: maps of nav2, paths of other machines, other files in the folder, large floors."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from mecp_env.core.errors import LayoutError, PlanWarning
+from mecp_env.floorplans import load_plan, plan_files
+from mecp_env.floorplans.folder import left_out
+from mecp_env.floorplans.vectorise import Placement, floor_polygon
+from tests.floorplans import plans
+
+
+def pair(folder: Path, **fields: Any) -> Path:
+    return plans.map_pair(folder, plans.two_rooms_picture(), **fields)
+
+
+def test_unknown_of_nav2_is_not_floor(tmp_path: Path) -> None:
+    with pytest.warns(PlanWarning, match="205"):
+        layout = load_plan(pair(tmp_path, free_thresh=0.25))
+    assert layout.rooms == load_plan(pair(tmp_path, free_thresh=0.196)).rooms
+
+
+@pytest.mark.parametrize("written", ["maps/map.pgm", "~/map.pgm", "/maps/robot/map.pgm", r"C:\maps\map.pgm"])
+def test_an_image_of_that_name_beside_the_yaml_is_taken(written: str, tmp_path: Path) -> None:
+    path = pair(tmp_path)
+    path.write_text(path.read_text().replace("map.pgm", written.replace("\\", "\\\\")))
+    with pytest.warns(PlanWarning, match="beside the yaml"):
+        assert len(load_plan(path).rooms) == 2
+    (tmp_path / "map.pgm").unlink()
+    with pytest.raises(LayoutError, match=r"image: .*map\.pgm"):
+        load_plan(path)
+
+
+@pytest.mark.parametrize("ending", ["bmp", "tif"])
+def test_bitmaps_that_pillow_reads(ending: str, tmp_path: Path) -> None:
+    path = pair(tmp_path)
+    expected = load_plan(path)
+    Image.open(tmp_path / "map.pgm").save(tmp_path / f"map.{ending}")
+    path.write_text(path.read_text().replace("map.pgm", f"map.{ending}"))
+    assert load_plan(path).rooms == expected.rooms
+
+
+def test_a_folder_leaves_out_what_is_no_plan(tmp_path: Path) -> None:
+    path = pair(tmp_path)
+    (tmp_path / "params.yaml").write_text("amcl:\n  ros__parameters: {}\n")
+    (tmp_path / "settings.json").write_text(json.dumps({"a": 1}))
+    with pytest.warns(PlanWarning, match="2 other files"):
+        assert plan_files(tmp_path) == (path,)
+    assert sorted(p.name for p in left_out(tmp_path)) == ["params.yaml", "settings.json"]
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "said"),
+    [
+        ("a.dxf", "0", "DXF"),
+        ("a.sdf", "<sdf/>", "Gazebo"),
+        ("a.json", '{"type": "FeatureCollection", "features": []}', "GeoJSON"),
+        ("a.json", '{"rooms": [], "walls": [], "objects": [], "doors": []}', "ProcTHOR"),
+        ("a.yaml", "levels: {L1: {vertices: []}}", "RMF"),
+        ("model.svg", "<svg/>", "CubiCasa"),
+    ],
+)
+def test_foreign_kinds_are_named(name: str, content: str, said: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text(content)
+    with pytest.raises(LayoutError, match=f"{said}.*HouseExpo"):
+        load_plan(tmp_path / name)
+
+
+@pytest.mark.parametrize("content", ['{"type": "Topology", "objects": {}}', '{"images": [], "categories": []}', "{}"])
+def test_json_of_another_kind_is_refused_in_a_sentence(content: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(LayoutError, match=r"JSON of another kind; read are .*HouseExpo"):
+        load_plan(tmp_path / "a.json")
+
+
+def test_numbers_without_a_point_are_numbers_in_a_map(tmp_path: Path) -> None:
+    path = pair(tmp_path, origin=[-10.0, -0.00001, 0.0])
+    expected = load_plan(path)
+    path.write_text(path.read_text().replace("[-10.0, -1e-05, 0.0]", "[-1E+1, -1e-05, 0e0]"))
+    assert "-1E+1" in path.read_text()
+    assert load_plan(path) == expected
+
+
+def test_a_picture_that_is_too_large_says_what_to_do(tmp_path: Path) -> None:
+    for size in (20_000, 5_000):  # Pillow refuses the first
+        (tmp_path / "a.pgm").write_bytes(b"P5 %d %d 255\n" % (size, size))
+        with pytest.raises(LayoutError, match=r"at most 16777216 .*scale it down, and give the metres per pixel"):
+            load_plan(tmp_path / "a.pgm", resolution_m=0.05)
+
+
+@pytest.mark.parametrize(("margin", "told"), [(60, True), (0, False)])
+def test_a_floor_that_is_the_outside_is_told(margin: int, told: bool) -> None:
+    free = np.ones((200 + 2 * margin, 300 + 2 * margin), np.bool_)
+    house = free[margin : margin + 200, margin : margin + 300]
+    house[:3], house[-3:], house[:, :3], house[:, -3:], house[:, 150:153] = False, False, False, False, False
+    with warnings.catch_warnings(record=True, action="always") as found:
+        floor_polygon(free, Placement(0.05))
+    assert [warning.category for warning in found] == [PlanWarning] * told
+
+
+def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
+    free = np.zeros((2200, 2200), np.bool_)
+    free[10:-10, 10:-10] = True
+    free[1000, 10:2000] = False
+    with pytest.warns(PlanWarning, match="2 x 2"):
+        area = floor_polygon(free, Placement(0.01))
+    free[1000, :] = False
+    with pytest.warns(PlanWarning, match="2 x 2"):
+        half = floor_polygon(free, Placement(0.01))
+    assert area.area > 1.9 * half.area * 0.9
+    assert half.bounds[3] - half.bounds[1] < 12.1
