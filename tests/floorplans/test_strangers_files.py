@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -71,6 +72,38 @@ def test_foreign_kinds_are_named(name: str, content: str, said: str, tmp_path: P
     (tmp_path / name).write_text(content)
     with pytest.raises(LayoutError, match=f"{said}.*HouseExpo"):
         load_plan(tmp_path / name)
+
+
+@pytest.mark.parametrize("content", ['{"type": "Topology", "objects": {}}', '{"images": [], "categories": []}', "{}"])
+def test_json_of_another_kind_is_refused_in_a_sentence(content: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(LayoutError, match=r"JSON of another kind; read are .*HouseExpo"):
+        load_plan(tmp_path / "a.json")
+
+
+def test_numbers_without_a_point_are_numbers_in_a_map(tmp_path: Path) -> None:
+    path = pair(tmp_path, origin=[-10.0, -0.00001, 0.0])
+    expected = load_plan(path)
+    path.write_text(path.read_text().replace("[-10.0, -1e-05, 0.0]", "[-1E+1, -1e-05, 0e0]"))
+    assert "-1E+1" in path.read_text()
+    assert load_plan(path) == expected
+
+
+def test_a_picture_that_is_too_large_says_what_to_do(tmp_path: Path) -> None:
+    for size in (20_000, 5_000):  # Pillow refuses the first
+        (tmp_path / "a.pgm").write_bytes(b"P5 %d %d 255\n" % (size, size))
+        with pytest.raises(LayoutError, match=r"at most 16777216 .*scale it down, and give the metres per pixel"):
+            load_plan(tmp_path / "a.pgm", resolution_m=0.05)
+
+
+@pytest.mark.parametrize(("margin", "told"), [(60, True), (0, False)])
+def test_a_floor_that_is_the_outside_is_told(margin: int, told: bool) -> None:
+    free = np.ones((200 + 2 * margin, 300 + 2 * margin), np.bool_)
+    house = free[margin : margin + 200, margin : margin + 300]
+    house[:3], house[-3:], house[:, :3], house[:, -3:], house[:, 150:153] = False, False, False, False, False
+    with warnings.catch_warnings(record=True, action="always") as found:
+        floor_polygon(free, Placement(0.05))
+    assert [warning.category for warning in found] == [PlanWarning] * told
 
 
 def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
