@@ -57,7 +57,7 @@ def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
         return layout_of(READERS[found](path, options), options)
     document = decode_json(read_bytes(path, MAX_BYTES))
     foreign = of_json(document)
-    if foreign.startswith("this is"):
+    if foreign.startswith("this is") or (foreign and not document.keys() & Layout.model_fields.keys()):
         raise LayoutError(foreign)
     found = "houseexpo" if "verts" in document else "layout"
     if kind not in (None, found):

@@ -73,6 +73,13 @@ def test_foreign_kinds_are_named(name: str, content: str, said: str, tmp_path: P
         load_plan(tmp_path / name)
 
 
+@pytest.mark.parametrize("content", ['{"type": "Topology", "objects": {}}', '{"images": [], "categories": []}', "{}"])
+def test_json_of_another_kind_is_refused_in_a_sentence(content: str, tmp_path: Path) -> None:
+    (tmp_path / "a.json").write_text(content)
+    with pytest.raises(LayoutError, match=r"JSON of another kind; read are .*HouseExpo"):
+        load_plan(tmp_path / "a.json")
+
+
 def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
     free = np.zeros((2200, 2200), np.bool_)
     free[10:-10, 10:-10] = True
