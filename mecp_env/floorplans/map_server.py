@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 import warnings
 from collections import Counter
 from collections.abc import Hashable
@@ -27,6 +28,7 @@ from mecp_env.world.schema import Document
 MAX_YAML_BYTES = 20_000
 SAVED_UNKNOWN, SAVED_FREE = 205, 254  # grey levels that every map_saver writes in the mode trinary
 NEAR_WHITE = 230  # a level from here on is free without a doubt
+WITHOUT_POINT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")  # a number that PyYAML does not know
 HALF = 50  # percent: in the modes scale and raw a cell less likely to be occupied is floor
 
 Offset = Annotated[float, Strict(), Field(ge=-900.0, le=900.0)]
@@ -122,7 +124,10 @@ def image_of(path: Path) -> Path | None:
 
 
 class OnceLoader(yaml.SafeLoader):
-    """Plain data in which no field is given twice: YAML forbids it, and PyYAML would keep the last."""
+    """Plain data in which no field is given twice: YAML forbids it, and PyYAML would keep the last.
+
+    Numbers such as 1e-05 are numbers, as in YAML 1.2, which the map_saver of nav2 writes; PyYAML has text there.
+    """
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, Any]:
         """The mapping of a node. Raises LayoutError."""
@@ -131,6 +136,9 @@ class OnceLoader(yaml.SafeLoader):
             if count > 1:
                 raise LayoutError(f"{name:.80}: given {'twice' if count == 2 else f'{count} times'}")
         return super().construct_mapping(node, deep)
+
+
+OnceLoader.add_implicit_resolver("tag:yaml.org,2002:float", WITHOUT_POINT, list("-+0123456789"))
 
 
 def _sheet(path: Path) -> Sheet:

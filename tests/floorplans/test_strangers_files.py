@@ -80,6 +80,14 @@ def test_json_of_another_kind_is_refused_in_a_sentence(content: str, tmp_path: P
         load_plan(tmp_path / "a.json")
 
 
+def test_numbers_without_a_point_are_numbers_in_a_map(tmp_path: Path) -> None:
+    path = pair(tmp_path, origin=[-10.0, -0.00001, 0.0])
+    expected = load_plan(path)
+    path.write_text(path.read_text().replace("[-10.0, -1e-05, 0.0]", "[-1E+1, -1e-05, 0e0]"))
+    assert "-1E+1" in path.read_text()
+    assert load_plan(path) == expected
+
+
 def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
     free = np.zeros((2200, 2200), np.bool_)
     free[10:-10, 10:-10] = True
