@@ -37,8 +37,8 @@ DAMAGE = (
     TypeError,
     EOFError,
     zlib.error,
-    Image.DecompressionBombError,
 )
+SMALLER = "scale it down, and give the metres per pixel of the smaller one"
 
 
 def read_image(path: Path) -> Image.Image:
@@ -57,6 +57,10 @@ def read_image(path: Path) -> Image.Image:
             return image
     except LayoutError as error:
         raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
+    except Image.DecompressionBombError:
+        raise LayoutError(
+            f"image: {path.name!r:.80}: too large, at most {MAX_PIXELS} pixels in all; {SMALLER}"
+        ) from None
     except DAMAGE as error:
         said = f"damaged, or no {KNOWN} of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
         raise LayoutError(f"image: {path.name!r:.80}: {said}") from None
@@ -65,7 +69,7 @@ def read_image(path: Path) -> Image.Image:
 def _check_header(image: Image.Image, most: int) -> None:
     width, height = image.size
     if width * height > most:
-        raise LayoutError(f"{width} x {height} pixels, at most {most} in all")
+        raise LayoutError(f"{width} x {height} pixels, at most {most} in all; {SMALLER}")
     if image.mode not in MODES:
         raise LayoutError(f"mode {image.mode}, one of {', '.join(MODES)} (8 bits a channel)")
 

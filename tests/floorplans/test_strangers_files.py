@@ -88,6 +88,13 @@ def test_numbers_without_a_point_are_numbers_in_a_map(tmp_path: Path) -> None:
     assert load_plan(path) == expected
 
 
+def test_a_picture_that_is_too_large_says_what_to_do(tmp_path: Path) -> None:
+    for size in (20_000, 5_000):  # Pillow refuses the first
+        (tmp_path / "a.pgm").write_bytes(b"P5 %d %d 255\n" % (size, size))
+        with pytest.raises(LayoutError, match=r"at most 16777216 .*scale it down, and give the metres per pixel"):
+            load_plan(tmp_path / "a.pgm", resolution_m=0.05)
+
+
 def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
     free = np.zeros((2200, 2200), np.bool_)
     free[10:-10, 10:-10] = True
