@@ -22,6 +22,7 @@ MAX_SPECKS = 20_000  # free-standing pieces of wall
 MAX_CORNERS = 400_000
 SPECK_CELLS = 4
 LEAST_NOISE_M = 0.03
+OUTSIDE_EDGE, OUTSIDE_WITHIN = 0.9, 0.1  # of the edge is floor, and so much of its area again is closed off within it
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +55,11 @@ def floor_polygon(free: Bools, placement: Placement) -> Polygon:
         raise LayoutError("image: no pixel is floor")
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     side = _pooled_side(int((bottom - top) * (right - left)), placement.resolution_m)
-    floor = _without_specks(_largest(_pooled(free[top:bottom, left:right][::-1], side)))
+    pooled = _pooled(free[top:bottom, left:right][::-1], side)
+    largest = _largest(pooled)
+    if free.shape == (bottom - top, right - left):
+        _tell_outside(largest, pooled)
+    floor = _without_specks(largest)
     polygon = _contour(np.pad(floor, 1))
     corner = np.array([left, len(free) - bottom], np.float64)  # column and row from below
     return shapely.transform(polygon, lambda points: placement.to_world(side * (points - 0.5) + corner))
@@ -87,6 +92,17 @@ def _largest(free: Bools) -> Bools:
     sizes[0] = 0
     largest: Bools = parts == int(np.argmax(sizes))
     return largest
+
+
+def _tell_outside(floor: Bools, free: Bools) -> None:
+    """Warn where the largest part of a picture lies along its edge and around other parts: outside of a building."""
+    edge = np.concatenate([floor[0], floor[-1], floor[:, 0], floor[:, -1]])
+    if edge.mean() < OUTSIDE_EDGE:
+        return
+    within = int(np.count_nonzero(ndimage.binary_fill_holes(floor) & free & ~floor))
+    if within >= OUTSIDE_WITHIN * np.count_nonzero(floor):
+        said = "the floor that is read lies along the edge of the picture and around closed parts, as the outside does"
+        warnings.warn(f"image: {said}; paint the outside black, or cut the margin off", PlanWarning, stacklevel=4)
 
 
 def _without_specks(floor: Bools) -> Bools:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -93,6 +94,16 @@ def test_a_picture_that_is_too_large_says_what_to_do(tmp_path: Path) -> None:
         (tmp_path / "a.pgm").write_bytes(b"P5 %d %d 255\n" % (size, size))
         with pytest.raises(LayoutError, match=r"at most 16777216 .*scale it down, and give the metres per pixel"):
             load_plan(tmp_path / "a.pgm", resolution_m=0.05)
+
+
+@pytest.mark.parametrize(("margin", "told"), [(60, True), (0, False)])
+def test_a_floor_that_is_the_outside_is_told(margin: int, told: bool) -> None:
+    free = np.ones((200 + 2 * margin, 300 + 2 * margin), np.bool_)
+    house = free[margin : margin + 200, margin : margin + 300]
+    house[:3], house[-3:], house[:, :3], house[:, -3:], house[:, 150:153] = False, False, False, False, False
+    with warnings.catch_warnings(record=True, action="always") as found:
+        floor_polygon(free, Placement(0.05))
+    assert [warning.category for warning in found] == [PlanWarning] * told
 
 
 def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
