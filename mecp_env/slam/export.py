@@ -63,8 +63,8 @@ class EstimatedMap:
 def save(what: EstimatedMap, paths: dict[str, PathLike | None]) -> list[Path]:
     """Write each file of `paths`, a name of `WRITERS` -> where; None is left out. The files that were written.
 
-    Each is written whole or not at all. Raises `ConfigError` for a name that ends otherwise than `SUFFIXES` says, and
-    for nothing to write, before the first is written; `OSError` that names the file.
+    Each is written whole or not at all. Raises `ConfigError` for a name that ends otherwise than `SUFFIXES` says, for
+    one file given twice, and for nothing to write, before the first is written; `OSError` that names the file.
     """
     wanted = checked(paths)
     return [file for name, path in wanted.items() for file in WRITERS[name](what, path)]
@@ -78,9 +78,19 @@ def checked(paths: dict[str, PathLike | None]) -> dict[str, Path]:
             raise ConfigError(f"export: {name}, one of {', '.join(WRITERS)} expected{guess(name, WRITERS)}")
         if path.suffix not in SUFFIXES.get(name, (path.suffix,)):
             raise ConfigError(f"{name}: {path}: a name that ends in {' or '.join(SUFFIXES[name])} expected")
+    files = [(name, file) for name, path in wanted.items() for file in _files(name, path)]
+    for i, (name, file) in enumerate(files):
+        other = next((other for other, earlier in files[:i] if earlier == file), None)
+        if other is not None:
+            raise ConfigError(f"{name}: {file} is written by {other} too; name another file")
     if not wanted:
         raise ConfigError(f"export: name what to write, one or more of {', '.join(WRITERS)}")
     return wanted
+
+
+def _files(name: str, path: Path) -> list[Path]:
+    """Where what has that name is written: of the grid the image, too."""
+    return [file.resolve() for file in ([path, path.with_suffix(".pgm")] if name == "grid" else [path])]
 
 
 def save_landmarks(what: EstimatedMap, path: Path) -> list[Path]:
