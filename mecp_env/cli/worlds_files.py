@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import shutil
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -18,7 +17,7 @@ from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.buildings import NONE_GIVEN, Buildings, Reading, ReadingOptions, counted, expand, load, spare_sources
 from mecp_env.cli.exit_codes import WRONG_INPUT, echo
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
-from mecp_env.core.paths import is_folder
+from mecp_env.core.paths import is_folder, naming, write_atomic
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -116,10 +115,10 @@ class Convert(Command):
         layout = load(source, self.reading)
         check_writable(self.target, "target")
         with tempfile.TemporaryDirectory() as folder:  # what fails leaves nothing
-            write(layout, Path(folder) / self.target.name, self.map_resolution_m)
-            self.target.parent.mkdir(parents=True, exist_ok=True)
+            with naming(self.target):
+                write(layout, Path(folder) / self.target.name, self.map_resolution_m)
             for path in Path(folder).iterdir():
-                shutil.copy(path, self.target.with_name(path.name))
+                write_atomic(self.target.with_name(path.name), path.read_bytes())
         echo(
             f"{self.target}: {layout.name}, {counted(layout)}",
             *([layout.description] if Path(source).is_file() else []),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import re
 import xml.etree.ElementTree as ET
@@ -426,3 +427,17 @@ def test_the_options_of_a_plan_are_options_of_the_commands(tmp_path: Path, capsy
         assert bound in said.err
     assert run(*read, "--door-width-m", "1", "0.5") == 2
     assert "door_width_m: two widths, the narrower first" in capsys.readouterr().err
+
+
+def test_a_full_disk_names_the_file_and_leaves_the_old_one(
+    tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: object, **__: object) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    target = tmp_path / "x.json"
+    target.write_text("old")
+    monkeypatch.setattr(Path, "write_text", full)
+    assert run("convert", "two_rooms", target) == 2
+    assert f"{target}: No space left" in capsys.readouterr().err
+    assert target.read_bytes() == b"old"
