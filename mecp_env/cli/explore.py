@@ -78,7 +78,7 @@ class Explore(WithModules):
         import gymnasium as gym
 
         from mecp_env.cli.rerun_option import end_rerun, rerun_log
-        from mecp_env.policies.registry import make_policy
+        from mecp_env.policies.registry import calls_of, make_policy
         from mecp_env.policies.rollout import masks_of, options_of
         from mecp_env.wrappers import EveryStep, RecordReplay
 
@@ -92,12 +92,15 @@ class Explore(WithModules):
         env = env if recording is None else EveryStep(env, recording.look)
         env = env if self.replay is None else RecordReplay(env, check_folder(self.replay, "--replay"))
         observation, info = env.reset(seed=self.seed, options=options)
-        policy.reset(self.seed)
+        with calls_of(self.policy):
+            policy.reset(self.seed)
         masks = masks_of(env)
         base: Any = env.unwrapped
         terminated = truncated = False
         while not (terminated or truncated):
-            action, goals = policy.act(observation, masks()), base.goals
+            mask, goals = masks(), base.goals
+            with calls_of(self.policy):
+                action = policy.act(observation, mask)
             observation, _, terminated, truncated, info = env.step(action)
             if policy.actions == "goal":
                 echo(drive_line(goals, int(action), info))

@@ -5,9 +5,11 @@ from __future__ import annotations
 import importlib
 import re
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.json_text import read_json
 from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
@@ -48,10 +50,28 @@ def make_policy(name: str, trust: bool = False) -> Policy:
     found = CLASS_PATH.fullmatch(EXPLORERS.get(name, name))
     if found:
         return import_policy(found[1], found[2])
-    if name in LEARNED or Path(name).exists():
+    if name in LEARNED or (name and Path(name).exists()):
         return load_learned(name, trust)
     known = policy_names()
     raise ConfigError(f"policy: {name!r:.80}, expected one of {', '.join(known)}, or a run folder{guess(name, known)}")
+
+
+@contextmanager
+def calls_of(name: str) -> Iterator[None]:
+    """What a policy of the user raises in `reset` or `act` becomes a `ConfigError` that names it and the line."""
+    try:
+        yield
+    except MecpError:
+        raise
+    except SystemExit as error:
+        raise ConfigError(f"policy: {name!r:.80} ends the process ({ended(error)})") from None
+    except Exception as error:  # code of the user may raise anything
+        raise ConfigError(f"policy: {name!r:.80} failed: {Failure.of(error).reason}") from error
+
+
+def ended(error: SystemExit) -> str:
+    """What code said that ended its process, in a few words."""
+    return f"SystemExit: {error.code!s:.80}"
 
 
 def register_policy(name: str, path: str) -> None:
@@ -107,6 +127,8 @@ def import_policy(module: str, class_name: str) -> Policy:
         policy: Policy = getattr(importlib.import_module(module), class_name)()
     except (ImportError, AttributeError, TypeError) as error:
         raise ConfigError(f"policy: '{module}:{class_name}' cannot be constructed: {error}") from None
+    except SystemExit as error:  # as from a script without a guard for `__main__`
+        raise ConfigError(f"policy: '{module}:{class_name}' ends the process ({ended(error)})") from None
     except Exception as error:  # code of the user may raise anything
         raise ConfigError(
             f"policy: '{module}:{class_name}' cannot be constructed: {Failure.of(error).reason}"
@@ -119,6 +141,8 @@ def import_policy(module: str, class_name: str) -> Policy:
 
 def load_learned(name: str, trust: bool = False) -> Policy:
     """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
+    if Path(name).suffix == ".py":
+        raise ConfigError(f"policy: {name!r:.80} is source code; name a class in it, as {Path(name).stem}:MyPolicy")
     module, load = LOADERS.get(Path(name).suffix, LOADERS[""])
     try:
         policy: Policy = getattr(importlib.import_module(module), load)(name, trust)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,10 +13,11 @@ import numpy as np
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.budget import budget_m
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import shown
 from mecp_env.episode.observations import COV_MAX
 from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.policies.policy import Policy
-from mecp_env.policies.registry import make_policy
+from mecp_env.policies.registry import ended, make_policy
 from mecp_env.policies.setting import Setting
 
 LEVELS = (0.90, 0.99)
@@ -109,7 +110,10 @@ def run_episode(task: EpisodeTask) -> EpisodeResult:
     policy = make_policy(task.source or task.policy, task.trust)
     env = make_rooms(task.setting, policy, task.building)
     log = StepLog(lambda: pose_cov(env))
-    end = run_policy(watched(env, log.add), policy, log.add, (task.setting.building(task.building), task.building))
+    try:
+        end = run_policy(watched(env, log.add), policy, log.add, (task.setting.building(task.building), task.building))
+    except SystemExit as error:  # which would end the process without a word
+        raise ConfigError(f"policy: it ends the process ({ended(error)})") from None
     summary: dict[str, float] = env.get_wrapper_attr("summary")()
     env.close()
     return EpisodeResult(task, log.curve, metrics(log, end, summary, task.setting.max_steps), end.act_s)
@@ -124,9 +128,12 @@ def make_rooms(setting: Setting, policy: Policy, episode: int = 0) -> Env:
 def options_of(policy: Policy) -> dict[str, Any]:
     """The fields of the configuration that a policy needs: its actions, and its `settings`.
 
-    Raises `ConfigError` for settings with other actions.
+    Raises `ConfigError` for settings with other actions, or that are no fields.
     """
-    settings = dict(getattr(policy, "settings", {}))
+    given = getattr(policy, "settings", {})
+    if not isinstance(given, Mapping):
+        raise ConfigError(f"policy: settings {shown(given)}, expected a dict of the fields of EnvConfig")
+    settings = dict(given)
     if settings.get("actions", policy.actions) != policy.actions:
         raise ConfigError(
             f"policy: settings of actions {settings['actions']!r:.40}, but its `actions` are {policy.actions!r:.40}"

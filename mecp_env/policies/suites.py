@@ -21,7 +21,7 @@ from mecp_env.policies.leaderboard import TRAINING
 from mecp_env.policies.leaderboard import leaderboard as leaderboard
 from mecp_env.policies.policy import Policy
 from mecp_env.policies.references import check_name
-from mecp_env.policies.rollout import make_rooms
+from mecp_env.policies.rollout import make_rooms, options_of
 from mecp_env.policies.setting import Setting
 
 FORMAT, VERSION = "mecp_env/suite", 1
@@ -101,7 +101,7 @@ def definition_hash(name: str) -> str:
 def refuse_changes(names: Sequence[str], policies: Sequence[Policy]) -> None:
     """Raise `ConfigError` for a policy whose `settings` change what a suite fixes, such as the laser."""
     for name, policy in zip(names, policies, strict=True):
-        changed = [field for field in getattr(policy, "settings", {}) if field in FIXED]
+        changed = [field for field in options_of(policy) if field in FIXED]
         if changed:
             raise ConfigError(
                 f"policy: {name!r:.80} has settings of {', '.join(changed)}; a suite fixes {', '.join(FIXED)}"

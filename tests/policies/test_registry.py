@@ -15,7 +15,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.policies import registry
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import make_policy
-from mecp_env.policies.rollout import EpisodeTask, Setting, run_episode
+from mecp_env.policies.rollout import EpisodeTask, Setting, options_of, run_episode
 
 
 @pytest.mark.parametrize("name", registry.EXPLORERS)
@@ -100,6 +100,42 @@ class NoFile(Nearest):
 def test_a_policy_that_cannot_be_made_is_named_with_the_line() -> None:
     with pytest.raises(ConfigError, match=r"NoFile' cannot be constructed: ValueError: no model file \(__init__, line"):
         make_policy(f"{__name__}:NoFile")
+
+
+class Leaves(Nearest):
+    """A policy that ends the process."""
+
+    def __init__(self) -> None:
+        raise SystemExit(0)
+
+
+def test_a_policy_that_ends_the_process_is_refused() -> None:
+    with pytest.raises(ConfigError, match=r"Leaves' ends the process \(SystemExit: 0\)"):
+        make_policy(f"{__name__}:Leaves")
+
+
+@pytest.mark.parametrize("raised", [ValueError("boom"), SystemExit("boom")])
+def test_what_a_policy_raises_names_it(raised: BaseException) -> None:
+    with pytest.raises(ConfigError, match=r"my:Own' .*boom"), registry.calls_of("my:Own"):
+        raise raised
+
+
+def test_source_code_and_an_empty_name_are_no_policies(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").write_text("")
+    for name, said in ((tmp_path / "mine.py", "mine:MyPolicy"), ("", "expected one of")):
+        with pytest.raises(ConfigError, match=said):
+            make_policy(str(name))
+
+
+class Wrong(Nearest):
+    """A policy whose settings are no fields."""
+
+    settings = 5
+
+
+def test_settings_that_are_no_fields_are_refused() -> None:
+    with pytest.raises(ConfigError, match="settings 5, expected a dict"):
+        options_of(Wrong())
 
 
 def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pytest.MonkeyPatch) -> None:
