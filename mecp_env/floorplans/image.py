@@ -97,7 +97,7 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
     floor = levels > threshold
     floor &= opaque
     del levels, opaque  # of large images
-    area = floor_polygon(floor, placement)
+    area = floor_polygon(floor, placement, told=bool(between))
     if between:
         warnings.warn(f"{path.name!r:.80}: {between}; free_above decides", PlanWarning, stacklevel=2)
     note = f"From {path.name}: {options.resolution_m:g} m per pixel, floor where brighter than {threshold}."

@@ -45,10 +45,11 @@ class Placement:
         return turned
 
 
-def floor_polygon(free: Bools, placement: Placement) -> Polygon:
+def floor_polygon(free: Bools, placement: Placement, told: bool = False) -> Polygon:
     """The largest connected floor of the mask `free` (h,w), row 0 at the top, in m.
 
-    Raises LayoutError when there is none, and when there is more than can be worked on in a moment.
+    Warns where it seems to be the outside of a building, unless a doubt about `free` was `told`. Raises
+    LayoutError when there is none, and when there is more than can be worked on in a moment.
     """
     rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
     if not len(rows):
@@ -57,7 +58,7 @@ def floor_polygon(free: Bools, placement: Placement) -> Polygon:
     side = _pooled_side(int((bottom - top) * (right - left)), placement.resolution_m)
     pooled = _pooled(free[top:bottom, left:right][::-1], side)
     largest = _largest(pooled)
-    if free.shape == (bottom - top, right - left):
+    if not told and free.shape == (bottom - top, right - left):
         _tell_outside(largest, pooled)
     floor = _without_specks(largest)
     polygon = _contour(np.pad(floor, 1))
