@@ -78,14 +78,20 @@ def checked(paths: dict[str, PathLike | None]) -> dict[str, Path]:
             raise ConfigError(f"export: {name}, one of {', '.join(WRITERS)} expected{guess(name, WRITERS)}")
         if path.suffix not in SUFFIXES.get(name, (path.suffix,)):
             raise ConfigError(f"{name}: {path}: a name that ends in {' or '.join(SUFFIXES[name])} expected")
-    files = [(name, file) for name, path in wanted.items() for file in _files(name, path)]
-    for i, (name, file) in enumerate(files):
-        other = next((other for other, earlier in files[:i] if earlier == file), None)
-        if other is not None:
-            raise ConfigError(f"{name}: {file} is written by {other} too; name another file")
+    _check_apart(wanted)
     if not wanted:
         raise ConfigError(f"export: name what to write, one or more of {', '.join(WRITERS)}")
     return wanted
+
+
+def _check_apart(wanted: dict[str, Path]) -> None:
+    """Raise `ConfigError` for a file that is wanted twice."""
+    writers = dict[Path, str]()
+    for name, path in wanted.items():
+        for file in _files(name, path):
+            other = writers.setdefault(file, name)
+            if other != name:
+                raise ConfigError(f"{name}: {file} is written by {other} too; name another file")
 
 
 def _files(name: str, path: Path) -> list[Path]:
