@@ -35,10 +35,12 @@ def assemble(
     field_of_view_deg: float | None = None,
     clock: Clock = "message",
     laser_yaw_deg: float = 0.0,
+    use_odometry: bool = True,
 ) -> Log:
     """The log. Readings from `max_range_m` on are no returns; beams outside the field of view are left out.
 
-    `clock`: whose stamps count; `laser_yaw_deg` is added to the heading of the laser on the robot.
+    `clock`: whose stamps count; `laser_yaw_deg` is added to the heading of the laser on the robot. Odometry that is not
+    used still tells the mounting pose from that of the laser.
 
     Raises `LogError` where nothing is left.
     """
@@ -49,7 +51,7 @@ def assemble(
     mount, reference = _mount(recording, sweeps, counts)
     mount[2] = math.remainder(mount[2] + math.radians(laser_yaw_deg), 2.0 * math.pi)
     t = np.array([sweep.t for sweep in sweeps])
-    odometry = _odometry(recording, sweeps)
+    odometry = _odometry(recording, sweeps) if use_odometry else Track()
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from pydantic import Field
@@ -53,7 +52,7 @@ def read_log(path: str | Path, options: ReadOptions | None = None) -> Log:
     try:
         recording = _asked(_recording(path, options), options)
         limits = options.max_range_m, options.field_of_view_deg
-        return assemble(recording, *limits, options.clock, options.laser_yaw_deg)
+        return assemble(recording, *limits, options.clock, options.laser_yaw_deg, options.use_odometry)
     except MecpError as error:
         raise LogError(f"{path}: {error}") from None
 
@@ -64,7 +63,6 @@ def _asked(recording: Recording, options: ReadOptions) -> Recording:
         recording.sweeps = [sweep.mirrored() for sweep in recording.sweeps]
     if not options.use_odometry:
         recording.odometry = Track()
-        recording.sweeps = [replace(sweep, T_odom_robot=None) for sweep in recording.sweeps]
     return recording
 
 

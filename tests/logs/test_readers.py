@@ -262,3 +262,11 @@ def test_the_python_of_the_documentation_runs(
     assert "at least 30 needed" in said  # for a calibration
     x, y, heading = (float(word) for word in re.findall(r"-?\d+\.\d+", said)[-3:])
     assert (x, y, heading) == pytest.approx(poses[-1], abs=0.03)
+
+
+@pytest.mark.parametrize("line", CARMEN)
+def test_odometry_can_be_left_out(tmp_path: Path, line: str) -> None:
+    log = read_log(write_carmen(tmp_path / "a.log", CARMEN[line]), ReadOptions(use_odometry=False))
+    assert log.T_odom_robot is None
+    assert len(log) == 12
+    np.testing.assert_allclose(log.T_robot_laser, MOUNT, atol=1e-5)
