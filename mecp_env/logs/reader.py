@@ -74,13 +74,21 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
         return read_bag(path, options.scan_topics, options.odometry_topic, options.scan_frame)
     if path.is_dir():
         raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
-    if path.suffix == ".npz":
-        return read_archive(path)
-    if Path(path.name.removesuffix(PACKED)).suffix in CARMEN:
+    suffix = path.suffix.lower()
+    is_carmen = Path(path.name.lower().removesuffix(PACKED)).suffix in CARMEN
+    if not (is_carmen or suffix in (".npz", *TABLES)):
+        raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
+    _check_options(options, is_carmen)
+    if is_carmen:
         return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
-    if path.suffix in TABLES:
-        return read_table(path, options.field_of_view_deg)
-    raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
+    return read_archive(path) if suffix == ".npz" else read_table(path, options.field_of_view_deg)
+
+
+def _check_options(options: ReadOptions, is_carmen: bool) -> None:
+    """Raise `LogError` where an option for bags is given with another format."""
+    for name in ("scan_frame", "odometry_topic", *(() if is_carmen else ("scan_topic",))):
+        if getattr(options, name) is not None:
+            raise LogError(f"--{name.replace('_', '-')}: {getattr(options, name)!r:.80} given, but this is no bag")
 
 
 def _only(topics: tuple[str, ...]) -> str | None:
