@@ -71,7 +71,8 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
     if not exists(path):
         raise LogError("no such file")
     if is_bag(path):
-        return read_bag(path, options.scan_topics, options.odometry_topic, options.scan_frame)
+        asked = (options.odometry_topic,) if options.odometry_topic else ()
+        return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
     if path.is_dir():
         raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
     suffix = path.suffix.lower()
