@@ -225,15 +225,24 @@ def _mount(log: BagLog) -> None:
     elif known:
         recording.T_robot_laser = planar(known[used[0]])
     elif used:
-        there = f"{log.lasers[used[0]]!r:.80} in {robot or 'base_link'!r:.80}; frames: {log.frames.listed()}"
-        recording.notes.append(f"the laser is taken as centred: no frame says the mounting pose of {there}")
-    recording.notes += [_tilted(log.lasers[laser], T) for laser, T in known.items() if abs(T[2, 2]) < LEVEL]
+        recording.notes.append(_centred(log, log.lasers[used[0]], robot))
+    recording.notes += _tilted(log, known)
 
 
-def _tilted(frame: str, T: Transform) -> str:
-    """That a laser looks up or down."""
-    tilt = math.degrees(math.acos(min(abs(T[2, 2]), 1.0)))
-    return f"warning: the laser {frame!r:.80} is tilted by {tilt:.0f} deg, and its scans are taken as level"
+def _centred(log: BagLog, laser: str, robot: str) -> str:
+    """That the only laser has no mounting pose."""
+    there = f"{laser!r:.80} in {robot or 'base_link'!r:.80}; frames: {log.frames.listed()}"
+    return f"the laser is taken as centred: no frame says the mounting pose of {there}"
+
+
+def _tilted(log: BagLog, mounts: dict[int, Transform]) -> list[str]:
+    """Which lasers look up or down."""
+    level = {log.lasers[laser]: abs(float(T[2, 2])) for laser, T in mounts.items()}
+    return [
+        f"warning: the laser {frame!r:.80} is tilted by {math.degrees(math.acos(z)):.0f} deg: its scans count as level"
+        for frame, z in level.items()
+        if z < LEVEL
+    ]
 
 
 def _turn_over(recording: Recording, upside_down: set[int]) -> None:

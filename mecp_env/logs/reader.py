@@ -75,19 +75,20 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
         return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
     if path.is_dir():
         raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
-    suffix = path.suffix.lower()
-    is_carmen = Path(path.name.lower().removesuffix(PACKED)).suffix in CARMEN
-    if not (is_carmen or suffix in (".npz", *TABLES)):
-        raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
-    _check_options(options, is_carmen)
-    if is_carmen:
+    suffix = Path(path.name.lower().removesuffix(PACKED)).suffix
+    if suffix in CARMEN:
+        _check_options(options, "scan_frame", "odometry_topic")
         return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
+    suffix = path.suffix.lower()
+    if suffix not in (".npz", *TABLES):
+        raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
+    _check_options(options, "scan_topic", "scan_frame", "odometry_topic")
     return read_archive(path) if suffix == ".npz" else read_table(path, options.field_of_view_deg)
 
 
-def _check_options(options: ReadOptions, is_carmen: bool) -> None:
-    """Raise `LogError` where an option for bags is given with another format."""
-    for name in ("scan_frame", "odometry_topic", *(() if is_carmen else ("scan_topic",))):
+def _check_options(options: ReadOptions, *of_bags: str) -> None:
+    """Raise `LogError` where one of the options of bags is given with another format."""
+    for name in of_bags:
         if getattr(options, name) is not None:
             raise LogError(f"--{name.replace('_', '-')}: {getattr(options, name)!r:.80} given, but this is no bag")
 
