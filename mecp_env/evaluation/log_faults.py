@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mecp_env.evaluation.log_run import LogRun, LogRunConfig
+from mecp_env.evaluation.log_run import REGISTERED, LogRun, LogRunConfig
 
 FEW_SHARE = 0.1  # of the scans of a file are used, at least
 LOST_SHARE, LOST_SCANS = 0.1, 5  # of the scans at the end, and at least so many: their pose is not known
@@ -34,6 +34,8 @@ def _few(run: LogRun, config: LogRunConfig) -> str | None:
     if len(run.t) + resting * asked >= FEW_SHARE * found:
         return None
     reason = f"{len(run.t)} of {found} scans are used"
+    if 2 * resting > found and REGISTERED in run.notes:
+        return f"{reason}, the robot is at rest by its scans in {resting}: a map takes a drive"
     if 2 * resting > found:
         return f"{reason}, the robot is at rest by its odometry in {resting}: try --odometry none"
     return f"{reason}: try --clock received, or --odometry none; what is left out is counted above"

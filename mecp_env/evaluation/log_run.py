@@ -216,11 +216,15 @@ class LogDrive:
         assert self.log.T_odom_robot is not None
         return self.log.T_odom_robot
 
+    @property
+    def _last(self) -> int:
+        """The record behind the last one that is asked for."""
+        return min(self.config.first + (self.config.scans or len(self.log)), len(self.log))
+
     def planned(self) -> list[int]:
         """The rows of the log that will be used: those with a pose, without those at rest."""
         path, config, rows = self._path(), self.config, list[int]()
-        last = config.first + (config.scans or len(self.log))
-        for row in (config.first + np.flatnonzero(np.isfinite(path[config.first : last, 0]))).tolist():
+        for row in (config.first + np.flatnonzero(np.isfinite(path[config.first : self._last, 0]))).tolist():
             if not rows or self._moved(path[rows[-1]], path[row]):
                 rows.append(row)
         if not rows:
@@ -284,7 +288,8 @@ class LogDrive:
         poses, localised, polygon, spent = zip(*self.outputs, strict=True)
         reference = None if self.log.T_ref_robot is None else self.log.T_ref_robot[self.rows]
         final, final_s, said = self._final()
-        skipped = {"scans at rest, skipped": self.rows[-1] + 1 - self.rows[0] - len(self.rows)}
+        last = self._last if self.ended == "complete" else self.rows[-1] + 1
+        skipped = {"scans at rest, skipped": last - self.rows[0] - len(self.rows)}
         return LogRun(
             *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
             *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),

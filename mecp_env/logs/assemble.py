@@ -19,10 +19,11 @@ from mecp_env.logs.log import Log
 from mecp_env.logs.readings import Readings, clean
 from mecp_env.logs.recording import Recording, Sweep, Track
 
-FARTHEST_M = 1e6  # no pose is farther
+FARTHEST_M = 1e8  # no pose is farther: world coordinates have millions of m
 GAP = 5.0  # medians between two scans
 FASTEST_M_S = 5.0  # a faster motion is a jump of the odometry, not one of the robot,
-SLACK_M = 0.5  # if it is longer than this
+SLACK_M = 0.5  # if it is longer than this;
+JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
 FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
 REACH_M = 2.0  # no laser is mounted farther from the robot's centre
@@ -35,10 +36,12 @@ def assemble(
     field_of_view_deg: float | None = None,
     clock: Clock = "message",
     laser_yaw_deg: float = 0.0,
+    use_odometry: bool = True,
 ) -> Log:
     """The log. Readings from `max_range_m` on are no returns; beams outside the field of view are left out.
 
-    `clock`: whose stamps count; `laser_yaw_deg` is added to the heading of the laser on the robot.
+    `clock`: whose stamps count; `laser_yaw_deg` is added to the heading of the laser on the robot. Odometry that is not
+    used still tells the mounting pose from that of the laser.
 
     Raises `LogError` where nothing is left.
     """
@@ -49,7 +52,7 @@ def assemble(
     mount, reference = _mount(recording, sweeps, counts)
     mount[2] = math.remainder(mount[2] + math.radians(laser_yaw_deg), 2.0 * math.pi)
     t = np.array([sweep.t for sweep in sweeps])
-    odometry = _odometry(recording, sweeps)
+    odometry = _odometry(recording, sweeps) if use_odometry else Track()
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
@@ -86,6 +89,11 @@ def _check_clocks(recording: Recording, t: Array, odometry: Track, kept: Bools) 
     """Note where few scans have odometry, whose span of time is another. Raises `LogError` where none has."""
     if kept.mean() >= FEW_SHARE:
         return
+    if not (abs(np.array(odometry.poses)) < FARTHEST_M).all(axis=1).any():
+        raise LogError(
+            f"odometry: none of its {len(odometry.poses)} poses is finite and below {FARTHEST_M:g} m: "
+            "--odometry none does without"
+        )
     sound = np.array([stamp for stamp in odometry.t if math.isfinite(stamp)] or [math.nan])
     spans = (
         f"{kept.sum()} of {len(t)} scans have odometry: scans from {t[0]:.3f} s to {t[-1]:.3f} s, "
@@ -148,9 +156,18 @@ def _at(t: Array, track: Track, what: str, counts: Counter[str]) -> Array | None
 
 
 def _bridged(t: Array, T_odom_robot: Array, counts: Counter[str]) -> Array:
-    """The poses (n,3) without jumps: a robot whose odometry was set to another pose has not moved."""
+    """The poses (n,3) without jumps: a robot whose odometry was set to another pose has not moved.
+
+    Raises `LogError` where half of the motions are jumps.
+    """
     steps = between(T_odom_robot[:-1], T_odom_robot[1:])
-    jumps = np.hypot(steps[:, 0], steps[:, 1]) > SLACK_M + FASTEST_M_S * np.diff(t)
+    lengths = np.hypot(steps[:, 0], steps[:, 1])
+    jumps, moves = lengths > SLACK_M + FASTEST_M_S * np.diff(t), int((lengths > FIXED_M).sum())
+    if jumps.sum() > max(JUMPS, 0.5 * moves):
+        raise LogError(
+            f"odometry: {jumps.sum()} of {moves} motions are faster than {FASTEST_M_S:g} m/s, "
+            "poses in m and stamps in s expected: --odometry none does without"
+        )
     if not jumps.any():
         return T_odom_robot
     counts["jumps of the odometry, taken as no motion"] += int(jumps.sum())

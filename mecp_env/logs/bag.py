@@ -23,6 +23,7 @@ FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FRAME_TOPICS = ("/tf", "/tf_static")
 REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
 MOST_LASERS = 8
+LEVEL = math.cos(math.radians(5.0))  # a laser that is tilted more does not measure level
 Choice = Sequence[str]
 Taker = Callable[[Any, float], None]
 
@@ -39,11 +40,12 @@ class BagLog:
     def scan(self, message: Any, received: float) -> None:
         """A sweep. Raises `ValueError` for a damaged one."""
         ranges = np.array(message.ranges, np.float64)
-        limits = float(message.range_min), float(message.range_max)
-        view = float(message.angle_min), float(message.angle_increment)
-        if not (0 < len(ranges) <= MOST_BEAMS and all(map(math.isfinite, (*view, limits[0])))):
+        least, most = float(message.range_min), float(message.range_max)
+        least = least if math.isfinite(least) else 0.0
+        view = float(message.angle_min), _step(message)
+        if not (0 < len(ranges) <= MOST_BEAMS and all(map(math.isfinite, view))):
             raise ValueError
-        geometry = Geometry(len(ranges), *view, limits[0], limits[1] if limits[1] > limits[0] else math.inf)
+        geometry = Geometry(len(ranges), *view, least, most if most > least else math.inf)
         laser = self._laser(_name(message.header.frame_id))
         self.recording.add(Sweep(_stamp(message.header, received), ranges, geometry, order=received, laser=laser))
 
@@ -91,9 +93,12 @@ def is_bag(path: Path) -> bool:
 
 
 def read_bag(
-    path: Path, scan_topics: Choice = (), odometry_topic: str | None = None, frame: str | None = None
+    path: Path, scan_topics: Choice = (), odometry_topics: Choice = (), frame: str | None = None, several: bool = False
 ) -> Recording:
-    """What is in a bag; `frame` names the laser to read. Raises `LogError`."""
+    """What is in a bag; `frame` names the laser to read. Raises `LogError`.
+
+    Several topics of odometry are an error unless one is asked for, or any will do (`several`).
+    """
     try:
         reader = importlib.import_module("rosbags.highlevel")
         stores = importlib.import_module("rosbags.typesys")
@@ -105,7 +110,7 @@ def read_bag(
     try:
         with reader.AnyReader([path], default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
             kinds |= {connection.topic: connection.msgtype for connection in bag.connections}
-            _read(bag, log, _takers(kinds, log, scan_topics, odometry_topic))
+            _read(bag, log, _takers(kinds, log, scan_topics, odometry_topics, several))
     except LogError:
         raise
     except Exception as error:  # damaged bytes may raise anything
@@ -125,12 +130,15 @@ def _size(path: Path) -> int:
     return sum(file.stat().st_size for file in files)
 
 
-def _takers(kinds: dict[str, str], log: BagLog, scan_topics: Choice, odometry_topic: str | None) -> dict[str, Taker]:
+def _takers(
+    kinds: dict[str, str], log: BagLog, scan_topics: Choice, odometry_topics: Choice, several: bool
+) -> dict[str, Taker]:
     """What takes the messages of each topic that is read. Raises `LogError`."""
     scans = _topics(kinds, SCAN, scan_topics, "--scan-topic")
     if not scans:
         raise LogError(f"no laser: no topic of type {SCAN}; topics: {_listed(kinds)}")
-    odometry = _topics(kinds, ODOMETRY, [odometry_topic] if odometry_topic else [], "--odometry-topic")
+    any_one = [topic for topic, kind in kinds.items() if kind == ODOMETRY][:1] if several else []
+    odometry = _topics(kinds, ODOMETRY, odometry_topics or any_one, "--odometry-topic")
     takers: dict[str, Taker] = dict.fromkeys(
         (topic for topic, kind in kinds.items() if kind in FRAMES and topic.endswith(FRAME_TOPICS)), log.tf
     )
@@ -168,6 +176,11 @@ def _name(frame: Any) -> str:
     return str(frame).strip("/")
 
 
+def _step(message: Any) -> float:
+    """rad between two beams; by the last one, for a driver that sets none."""
+    return float(message.angle_increment) or (message.angle_max - message.angle_min) / max(len(message.ranges) - 1, 1)
+
+
 def _stamp(header: Any, received: float) -> float:
     """The stamp of a message; when it was received, for a driver that sets none."""
     stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
@@ -188,7 +201,7 @@ def _choose_frame(log: BagLog, frame: str | None) -> None:
 
 def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
     """Odometry from the frames, where no message has it; a note of where it was looked for."""
-    edge = log.frames.odometry()
+    edge = log.frames.odometry([log.lasers[laser] for laser in {sweep.laser for sweep in log.recording.sweeps}])
     if log.recording.odometry.t:
         return
     if edge is not None:
@@ -196,7 +209,8 @@ def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
         log.recording.notes.append(f"odometry is that of the frames {edge[0]} -> {edge[1]}")
         return
     looked = f"topics: {_listed(kinds)}; frames: {log.frames.listed()}"
-    log.recording.notes.append(f"no odometry: no message of type {ODOMETRY}, and no frame that moves in odom; {looked}")
+    read = f"no message of type {ODOMETRY} that can be read, and no frame that moves in odom"
+    log.recording.notes.append(f"no odometry: {read}; {looked}")
 
 
 def _mount(log: BagLog) -> None:
@@ -210,6 +224,25 @@ def _mount(log: BagLog) -> None:
         recording.mounts = [planar(known.get(laser, np.eye(4))) for laser in range(len(log.lasers))]
     elif known:
         recording.T_robot_laser = planar(known[used[0]])
+    elif used:
+        recording.notes.append(_centred(log, log.lasers[used[0]], robot))
+    recording.notes += _tilted(log, known)
+
+
+def _centred(log: BagLog, laser: str, robot: str) -> str:
+    """That the only laser has no mounting pose."""
+    there = f"{laser!r:.80} in {robot or 'base_link'!r:.80}; frames: {log.frames.listed()}"
+    return f"the laser is taken as centred: no frame says the mounting pose of {there}"
+
+
+def _tilted(log: BagLog, mounts: dict[int, Transform]) -> list[str]:
+    """Which lasers look up or down."""
+    level = {log.lasers[laser]: abs(float(T[2, 2])) for laser, T in mounts.items()}
+    return [
+        f"warning: the laser {frame!r:.80} is tilted by {math.degrees(math.acos(z)):.0f} deg: its scans count as level"
+        for frame, z in level.items()
+        if z < LEVEL
+    ]
 
 
 def _turn_over(recording: Recording, upside_down: set[int]) -> None:

@@ -31,6 +31,7 @@ from mecp_env.logs.recording import POSE_BYTES, SWEEP_BYTES, Budget, Geometry, R
 
 MOST_BYTES = 2**30
 PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
+MAGIC = b"\x1f\x8b"  # of a packed file, whatever its name: browsers unpack files and keep the name
 BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
 MOST_BEAMS = 20_000
 MOST_LINES = 10**6  # and one more for each byte of the file
@@ -155,7 +156,7 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
     log = CarmenLog(field_of_view_deg, budget=Budget.of(len(data)))
-    for number, is_cut, words in _lines(data, path.suffix == PACKED, log.counts):
+    for number, is_cut, words in _lines(data, data.startswith(MAGIC), log.counts):
         if number > MOST_LINES + len(data):
             raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
         log.line, log.cut = number, is_cut
@@ -219,12 +220,13 @@ def _message(log: CarmenLog, asked: str | None) -> str:
         return asked
     most = max(counts.values())
     if not most:
-        raise LogError(f"no laser: no line of {', '.join(counts)} that can be read ({_found(log.counts)})")
+        found = f"no laser: no line of {', '.join(counts)} that can be read ({_found(log)})"
+        raise LogError("; ".join((found, *log.notes)))
     return next(name for name, n in counts.items() if 2 * n >= most)
 
 
-def _found(counts: Counter[str]) -> str:
-    return ", ".join(f"{n} {what}" for what, n in counts.items()) or "the file is empty"
+def _found(log: CarmenLog) -> str:
+    return ", ".join((f"{log.line} lines", *(f"{n} {what}" for what, n in log.counts.items())))
 
 
 def _number(word: str) -> float:

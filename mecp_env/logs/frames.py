@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -46,10 +46,14 @@ class Frames:
         self.budget.take(POSE_BYTES)
         self.moving.setdefault(edge, Track()).add(stamp, planar(T_odom_robot), order)
 
-    def odometry(self) -> Edge | None:
-        """The odometry frame and the robot's: of those that moved, the usual name first; None without any."""
-        edges = [edge for edge, track in self.moving.items() if len(track.t) > 1]
-        return max(edges, key=lambda edge: (_is_robot(edge[1]), len(self.moving[edge].t)), default=None)
+    def odometry(self, lasers: Sequence[str]) -> Edge | None:
+        """The odometry frame and the robot's: that of the robot that carries the lasers, then that of the usual name.
+
+        None where none moved.
+        """
+        above = {name for laser in lasers for name, _ in self._chain(laser)}
+        poses = {edge: len(track.t) for edge, track in self.moving.items() if len(track.t) > 1}
+        return max(poses, key=lambda edge: (edge[1] in above, _is_robot(edge[1]), poses[edge]), default=None)
 
     def robot(self, stated: str) -> str:
         """The robot's frame: as the odometry states it, or by its usual name; empty where there is none."""

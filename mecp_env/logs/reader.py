@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from pydantic import Field
@@ -53,7 +52,7 @@ def read_log(path: str | Path, options: ReadOptions | None = None) -> Log:
     try:
         recording = _asked(_recording(path, options), options)
         limits = options.max_range_m, options.field_of_view_deg
-        return assemble(recording, *limits, options.clock, options.laser_yaw_deg)
+        return assemble(recording, *limits, options.clock, options.laser_yaw_deg, options.use_odometry)
     except MecpError as error:
         raise LogError(f"{path}: {error}") from None
 
@@ -64,7 +63,6 @@ def _asked(recording: Recording, options: ReadOptions) -> Recording:
         recording.sweeps = [sweep.mirrored() for sweep in recording.sweeps]
     if not options.use_odometry:
         recording.odometry = Track()
-        recording.sweeps = [replace(sweep, T_odom_robot=None) for sweep in recording.sweeps]
     return recording
 
 
@@ -73,16 +71,26 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
     if not exists(path):
         raise LogError("no such file")
     if is_bag(path):
-        return read_bag(path, options.scan_topics, options.odometry_topic, options.scan_frame)
+        asked = (options.odometry_topic,) if options.odometry_topic else ()
+        return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
     if path.is_dir():
         raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
-    if path.suffix == ".npz":
-        return read_archive(path)
-    if Path(path.name.removesuffix(PACKED)).suffix in CARMEN:
+    suffix = Path(path.name.lower().removesuffix(PACKED)).suffix
+    if suffix in CARMEN:
+        _check_options(options, "scan_frame", "odometry_topic")
         return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
-    if path.suffix in TABLES:
-        return read_table(path, options.field_of_view_deg)
-    raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
+    suffix = path.suffix.lower()
+    if suffix not in (".npz", *TABLES):
+        raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
+    _check_options(options, "scan_topic", "scan_frame", "odometry_topic")
+    return read_archive(path) if suffix == ".npz" else read_table(path, options.field_of_view_deg)
+
+
+def _check_options(options: ReadOptions, *of_bags: str) -> None:
+    """Raise `LogError` where one of the options of bags is given with another format."""
+    for name in of_bags:
+        if getattr(options, name) is not None:
+            raise LogError(f"--{name.replace('_', '-')}: {getattr(options, name)!r:.80} given, but this is no bag")
 
 
 def _only(topics: tuple[str, ...]) -> str | None:

@@ -16,7 +16,8 @@ from mecp_env.logs.recording import Budget, Geometry, Sweep
 LONGEST_M = 1000.0  # no laser measures farther
 LIMITS_M = (8.191, 16.0, 30.0, 32.0, 50.0, 80.0, 81.91)  # common readings of lasers where nothing returns
 BELOW_LIMIT = 0.99  # of the largest range: from here on a reading is no return
-FEWEST_BEAMS, NARROWEST_DEG = 8, 10.0
+FEWEST_BEAMS, NARROWEST_DEG, MOST_TURNS = 8, 10.0, 3.0
+USUAL_M = 100.0  # half of the readings are nearer: farther ones are in mm or cm
 SAMPLE = 2_000_000  # readings that are searched for codes, at most
 CODES, BELOW = 16, 20  # distinct readings at the top that may be codes, each compared with so many below
 FEWEST_CODES, TIMES = 5, 5.0  # a code comes at least so often, and so many times as often as readings below
@@ -41,6 +42,7 @@ def clean(
     ranges = _on_beams(sweeps, geometry, order, counts)
     limit = max_range_m or _limit(ranges, geometry.max_range_m)
     _blank(ranges, limit, geometry.min_range_m, counts)
+    _check_distances(ranges, limit, geometry.min_range_m)
     return Readings(ranges, bearings, limit)
 
 
@@ -60,6 +62,9 @@ def _ascending(geometry: Geometry, field_of_view_deg: float | None) -> tuple[Int
     beams, step = geometry.beams, abs(geometry.step_rad)
     if not beams * step > 0.0 or not math.isfinite(beams * step):
         raise LogError(f"laser: {beams} beams {geometry.step_rad:g} rad apart")
+    turns = beams * step / (2.0 * math.pi)
+    if turns > MOST_TURNS:
+        raise LogError(f"laser: {beams} beams {step:g} rad apart are {turns:.1f} turns, angles in rad expected")
     once = wrapped(geometry.angles[: round(2.0 * math.pi / step)])  # the last beam of a circle may repeat the first
     once[once == -math.pi] = math.pi
     order = np.argsort(once)
@@ -99,7 +104,7 @@ def _limit(ranges: Array, stated: float) -> float:
     """m from which on a reading is no return: a code, or by the log, a common limit, or the largest reading."""
     values, times = np.unique(_sample(ranges), return_counts=True)
     if not len(values):
-        raise LogError("laser: no reading above 0 m")
+        raise LogError(f"laser: no reading above 0 and up to {LONGEST_M:g} m")
     code, top = _least_code(values, times), float(values[-1])
     if 0.0 < stated <= LONGEST_M:
         return min(code, BELOW_LIMIT * stated)
@@ -133,3 +138,13 @@ def _blank(ranges: Array, limit: float, least: float, counts: Counter[str]) -> N
     counts["readings below the least range"] += int(near.sum())
     counts["readings without a return"] += int(far.sum())
     ranges[near | far] = np.nan
+
+
+def _check_distances(ranges: Array, limit: float, least: float) -> None:
+    """Raise `LogError` where no reading (n,B) measures anything, or where readings are not in m."""
+    some = _sample(ranges)
+    if not len(some):
+        raise LogError(f"laser: no reading from {least:g} to {limit:g} m, ranges and their limits in m expected")
+    middle = float(np.median(some))
+    if middle > USUAL_M:
+        raise LogError(f"laser: half of the readings are beyond {middle:.0f} m, at most {USUAL_M:g} m expected")

@@ -48,7 +48,7 @@ def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     """What is in a table. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
     recording = Recording(path.name, budget=Budget.of(len(data)))
-    (_read_csv if path.suffix == ".csv" else _read_dat)(data, recording, field_of_view_deg)
+    (_read_csv if path.suffix.lower() == ".csv" else _read_dat)(data, recording, field_of_view_deg)
     if not recording.sweeps:
         raise LogError(f"no row that can be read ({recording.counts['damaged rows']} damaged rows)")
     return recording

@@ -203,8 +203,19 @@ def test_a_run_that_used_few_scans_fails_with_what_to_try(log: Path, tmp_path: P
     with np.load(log) as whole:
         np.savez(tmp_path / "a.npz", **{name: 0.0 * whole[name] if name == "odo" else whole[name] for name in whole})
     assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
-    assert "--odometry none" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert "at rest by its odometry" in said
+    assert "--odometry none" in said
     assert metrics_of(tmp_path / "a")["scans"] == 1
+
+
+def test_a_robot_that_never_moves_has_no_map(log: Path, tmp_path: Path, capsys: Said) -> None:
+    with np.load(log) as whole:
+        still = {name: np.repeat(whole[name][:1], 20, axis=0) for name in ("ranges", "odo", "ref")}
+        np.savez(tmp_path / "a.npz", **{**whole, **still, "t": whole["t"][:20]})
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a"), "--odometry", "none"]) == 1
+    assert "at rest by its scans in 19: a map takes a drive" in capsys.readouterr().err
+    assert metrics_of(tmp_path / "a")["counts"]["scans at rest, skipped"] == 19
 
 
 def test_a_run_that_is_lost_to_its_end_fails(log: Path, tmp_path: Path, capsys: Said) -> None:

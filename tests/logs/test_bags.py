@@ -9,8 +9,8 @@ import pytest
 
 from mecp_env.core.errors import LogError
 from mecp_env.logs import Log, ReadOptions, read_log
-from tests.logs.bags import BagWriter, sweep
-from tests.logs.files import MOUNT, SIDE, drive
+from tests.logs.bags import ODOMETRY, BagWriter, sweep
+from tests.logs.files import BEARINGS, MOUNT, SIDE, drive
 
 pytest.importorskip("rosbags")
 FRONT, REAR = np.array([0.25, 0.0, 0.0]), np.array([-0.25, 0.0, np.pi])
@@ -121,3 +121,61 @@ def test_quaternions_of_zeros_are_named(tmp_path: Path) -> None:
     log = read_log(bag.close())
     assert log.counts["messages with a quaternion of zeros"] == 1
     np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=5e-3)
+
+
+def test_odometry_of_the_frames_is_that_of_the_robot_with_the_laser(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        for robot, path in (("other", -pose), ("own", pose)):
+            bag.frame(stamp, "map", f"{robot}/odom", np.zeros(3))
+            bag.frame(stamp, f"{robot}/odom", f"{robot}/base_link", path)
+            bag.frame(stamp, f"{robot}/base_link", f"{robot}/laser", MOUNT, "/tf_static")
+            bag.scan(stamp, one, f"{robot}/laser", f"/{robot}/scan")
+        bag.frame(stamp + 0.1, "other/odom", "other/base_link", -pose)  # the other robot has more poses
+    log = read_log(bag.close(), ReadOptions(scan_topic="/own/scan"))
+    np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=1e-5)
+
+
+def test_several_topics_of_odometry_are_no_fault_where_none_is_used(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.odometry(stamp, pose)
+        bag.put(stamp, "/filtered", ODOMETRY, bag.messages[-1][3])
+        bag.scan(stamp, one)
+    path = bag.close()
+    with pytest.raises(LogError, match=r"--odometry-topic: 2 topics"):
+        read_log(path)
+    assert read_log(path, ReadOptions(use_odometry=False)).T_odom_robot is None
+
+
+@pytest.mark.parametrize(("tilt", "said"), [(0.02, False), (0.5 * np.pi, True), (np.pi - 0.02, False)])
+def test_a_laser_that_is_not_level_is_named(tmp_path: Path, tilt: float, said: bool) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.odometry(stamp, pose)
+        bag.scan(stamp, one)
+        bag.frame(stamp, "base_link", "laser", MOUNT, "/tf_static")
+        rotation = bag.messages[-1][3].transforms[0].transform.rotation
+        rotation.x, rotation.w = np.sin(0.5 * tilt), np.cos(0.5 * tilt)
+    assert any("tilted by 90 deg" in note for note in read_log(bag.close()).notes) == said
+
+
+def test_a_laser_without_a_mounting_pose_is_named(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.frame(stamp, "odom", "base_footprint", pose)
+        bag.scan(stamp, one)
+    notes = read_log(bag.close()).notes
+    assert any("'laser' in 'base_footprint'; frames: odom -> base_footprint" in note for note in notes)
+
+
+def test_fields_that_a_driver_leaves_out(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.odometry(stamp, pose)
+        bag.scan(stamp, one)
+        message = bag.messages[-1][3]
+        message.angle_increment, message.range_min, message.range_max = 0.0, np.nan, np.nan
+    log = read_log(bag.close())
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-6)
+    np.testing.assert_allclose(log.ranges, drive()[2], atol=1e-5)

@@ -262,3 +262,34 @@ def test_the_python_of_the_documentation_runs(
     assert "at least 30 needed" in said  # for a calibration
     x, y, heading = (float(word) for word in re.findall(r"-?\d+\.\d+", said)[-3:])
     assert (x, y, heading) == pytest.approx(poses[-1], abs=0.03)
+
+
+def test_a_name_says_nothing_of_packing_and_any_case_is_read(tmp_path: Path) -> None:
+    data = write_carmen(tmp_path / "a.log").read_bytes()
+    (tmp_path / "b.log").write_bytes(gzip.compress(data))
+    (tmp_path / "c.log.gz").write_bytes(data)
+    (tmp_path / "D.LOG").write_bytes(data)
+    (tmp_path / "E.NPZ").write_bytes(write_archive(tmp_path / "e.npz").read_bytes())
+    for name in ("b.log", "c.log.gz", "D.LOG", "E.NPZ"):
+        check(read_log(tmp_path / name))
+
+
+def test_lines_that_are_all_damaged_are_shown(tmp_path: Path) -> None:
+    lines = [line.replace(f"FLASER {BEAMS}", f"FLASER {BEAMS - 1}") for line in lines_of(tmp_path)]
+    with pytest.raises(LogError, match=rf"12 damaged lines\); line 3 is the first that is damaged: FLASER {BEAMS - 1}"):
+        reread(tmp_path, lines)
+
+
+@pytest.mark.parametrize("option", ["scan_topic", "scan_frame", "odometry_topic"])
+def test_options_of_bags_are_no_options_of_other_logs(tmp_path: Path, option: str) -> None:
+    for path in (write_archive(tmp_path / "a.npz"), write_carmen(tmp_path / "a.log")):
+        with pytest.raises(LogError, match=f"--{option.replace('_', '-')}: .*'/x'"):
+            read_log(path, ReadOptions(**{option: "/x"}))
+
+
+@pytest.mark.parametrize("line", CARMEN)
+def test_odometry_can_be_left_out(tmp_path: Path, line: str) -> None:
+    log = read_log(write_carmen(tmp_path / "a.log", CARMEN[line]), ReadOptions(use_odometry=False))
+    assert log.T_odom_robot is None
+    assert len(log) == 12
+    np.testing.assert_allclose(log.T_robot_laser, MOUNT, atol=1e-5)
