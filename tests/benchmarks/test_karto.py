@@ -5,6 +5,7 @@ import pytest
 
 from benchmarks import karto
 from mecp_env.core.trajectories import between
+from mecp_env.evaluation.trajectory import trajectory_error
 from mecp_env.logs.log import Log
 from tests.slam.drives import scripted_drive
 
@@ -40,4 +41,4 @@ def test_it_corrects_a_drifting_odometry():
     log = Log("drive", t, ranges, laser.bearings[0], laser.max_range_m, np.zeros(3), odometry, reference)
     rows = np.arange(len(truth))
     found = karto.figures(log, rows, karto.run(log, rows, odometry))
-    assert found["karto_ate_m"] < 0.1
+    assert found["karto_ate_m"] < 0.25 * trajectory_error(odometry, reference).rmse_m

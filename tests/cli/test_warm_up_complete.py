@@ -18,7 +18,7 @@ from mecp_env.core import jit, warm_up
 from tests.command_lines import ROOT
 
 SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32"
-ALONE = "--buildings.layout two_rooms --environments 1 --groups 1"  # in one process
+ALONE = "--buildings.layout two_rooms --environments 1"  # in one process
 LINES = (  # as in the documents, shorter
     "doctor --seconds 1",
     "demo --layout two_rooms --out demo --save-map map.zip",

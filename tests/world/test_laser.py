@@ -72,10 +72,14 @@ def draws(rng: np.random.Generator, count: int) -> NDArray[np.uint16]:
     return rng.integers(module.QUANTILES, size=(2, count), dtype=np.uint16)
 
 
+def normals(quantiles: NDArray[np.uint16]) -> NDArray[np.float32]:
+    """(N,) the standard normal, cut at 4 sigma, for numbers of quantiles (N,)."""
+    return np.clip(norm.ppf((quantiles + 0.5) / module.QUANTILES), -4.0, 4.0).astype(np.float32)
+
+
 def bearing_noise(seed: int, count: int) -> NDArray[np.float32]:
-    """(N,) standard normal, cut at 4 sigma."""
-    quantiles = (draws(np.random.default_rng(seed), count)[0] + 0.5) / module.QUANTILES
-    return np.clip(norm.ppf(quantiles), -4.0, 4.0).astype(np.float32)
+    """(N,) of the first scan of a generator."""
+    return normals(draws(np.random.default_rng(seed), count)[0])
 
 
 def test_noisy_rays_are_cast_where_they_point(outline: Outline) -> None:
@@ -245,12 +249,16 @@ def test_the_same_seed_gives_the_same_bits(paper: Outline) -> None:
 @pytest.mark.parametrize(("sweeps", "beams"), [(1, 720), (4, 720), (1, 721), (3, 9)])
 def test_the_draws_are_those_of_the_generators_integers(two_rooms: Outline, sweeps: int, beams: int) -> None:
     """However they are taken from the bits, so that what is drawn from the generator next stays the same too."""
-    laser, pose = Laser(two_rooms, LaserConfig(sweeps=sweeps, beams=beams)), poses(two_rooms, 1)[0]
+    fields, pose = {"sweeps": sweeps, "beams": beams, "bearing_sigma_deg": 0.0}, poses(two_rooms, 1)[0]
+    laser, exact = (Laser(two_rooms, LaserConfig(**fields, range_sigma_m=sigma)) for sigma in (0.01, 0.0))
+    true = exact.scan(pose, np.random.default_rng(0))
     for kind in (np.random.PCG64, np.random.MT19937):
         one, two = np.random.Generator(kind(4)), np.random.Generator(kind(4))
         for _ in range(3):
-            laser.scan(pose, one)
-            draws(two, sweeps * beams)
+            noise = (laser.scan(pose, one).ranges - true.ranges) / 0.01
+            expected = normals(draws(two, sweeps * beams)[1]).reshape(-1, sweeps).T
+            assert true.hit.all()
+            np.testing.assert_allclose(noise, expected, atol=1e-4)
             assert one.standard_normal() == two.standard_normal()
 
 
