@@ -16,7 +16,7 @@ import gymnasium as gym
 import tyro
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.core.paths import write_atomic
+from mecp_env.core.files import write_atomic
 from mecp_env.policies.registry import INSTALL
 
 try:
@@ -26,11 +26,10 @@ try:
 
     from mecp_env.learning.callbacks import OptionCallback
     from mecp_env.learning.downsampled import DownsampledObservation
-    from mecp_env.learning.encoder import ObservationEncoder
+    from mecp_env.learning.encoder import GoalPointerPolicy, ObservationEncoder
     from mecp_env.learning.environments import OptionReward, vectorise
     from mecp_env.learning.files import tensor_bytes, weights_of
-    from mecp_env.learning.option_buffer import OptionBuffer
-    from mecp_env.learning.pointer import GoalPointerPolicy
+    from mecp_env.learning.sb3_batch import OptionBuffer
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
 

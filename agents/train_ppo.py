@@ -16,7 +16,7 @@ import gymnasium as gym
 import tyro
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.core.paths import write_atomic
+from mecp_env.core.files import write_atomic
 from mecp_env.policies.registry import INSTALL
 
 try:

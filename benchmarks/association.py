@@ -43,7 +43,7 @@ from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import DEFAULT, RIVALS, with_change
-from mecp_env.evaluation.lost import is_lost
+from mecp_env.evaluation.metric_arrays import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig

@@ -30,7 +30,7 @@ from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import DEFAULT, RIVALS
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
-from mecp_env.slam.association.jcbb import pair_jointly
+from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon

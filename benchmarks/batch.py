@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import OptionError
-from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.messages import Odometry
-from mecp_env.core.trajectories import wrapped
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.se2 import wrapped
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Filter, SubmapEkf, make_filter
 from mecp_env.slam.messages import Belief

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.slam.association import CcdaAssociator
 from mecp_env.slam.association.cliques import PairGraph
 

@@ -27,7 +27,7 @@ from benchmarks.drives import replay
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import associators, with_change
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures

@@ -26,8 +26,7 @@ import numpy as np
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, estimate, ratio, share
 from mecp_env.core.jit import compiled
-from mecp_env.core.own_modules import checksums, import_modules
-from mecp_env.core.provenance import dependencies
+from mecp_env.core.provenance import checksums, dependencies, import_modules
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])

@@ -43,10 +43,9 @@ from benchmarks.drives import Drive
 from benchmarks.map_consistency import mean_nees
 from benchmarks.plots import DASHES, GREYS
 from benchmarks.records import IN_MEMORY, Course, Records
-from mecp_env.core.array_types import Array
-from mecp_env.core.messages import Odometry
-from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle
-from mecp_env.core.trajectories import wrapped
+from mecp_env.core.carriers import Array
+from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.localisation.pose_guard import PoseGuard

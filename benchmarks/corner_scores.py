@@ -10,12 +10,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle
+from mecp_env.core.sensors import Scan
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.messages import Corners
 from mecp_env.world.config import LaserConfig

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
-from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics

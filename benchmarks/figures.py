@@ -22,8 +22,8 @@ from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.drives import Drive
 from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
-from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.render import shapes
 from mecp_env.slam.output import SlamOutput

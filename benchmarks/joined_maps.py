@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from benchmarks.drives import record_drive
 from benchmarks.loop import HARD, MAX_STEPS, finish
 from mecp_env.slam.filters.core import LandmarkFilter
-from mecp_env.slam.filters.error_state import change_chart
+from mecp_env.slam.filters.models import change_chart
 from mecp_env.slam.messages import UNKNOWN_ROOM, Candidate, Door, MapPolygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed

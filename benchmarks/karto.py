@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from benchmarks.common import Figures
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
 from mecp_env.logs.log import Log
 

@@ -32,8 +32,8 @@ from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import RIVALS, with_change
-from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.pipeline import SlamPipeline
 
 Array = NDArray[np.float64]

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.common import OptionError
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
 from mecp_env.slam.association import CcdaAssociator
 from mecp_env.slam.association.cliques import candidate_pairs, jointly_compatible

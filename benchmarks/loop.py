@@ -45,13 +45,13 @@ from benchmarks.variants import (
     two_pass_jcbb,
     with_change,
 )
-from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import compose, inverse
+from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon

@@ -32,8 +32,8 @@ from benchmarks.drives import Drive, Replay, replay
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, with_change
-from mecp_env.core.messages import Odometry, Scan
-from mecp_env.evaluation.lost import is_lost
+from mecp_env.core.sensors import Odometry, Scan
+from mecp_env.evaluation.metric_arrays import is_lost
 
 LAYOUT = "paper"
 VARIANTS: dict[str, Variant] = {

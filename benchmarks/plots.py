@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from benchmarks.common import Figures
-from mecp_env.render.legends import drawn
+from mecp_env.render.figures import drawn
 from mecp_env.render.palette import SERIES, unit
 
 MOST_ACROSS, PANEL_IN = 3, (3.9, 3.2)  # panels of a row, and their size: letters of 10 pt are 8 px on a page

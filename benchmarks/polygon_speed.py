@@ -18,12 +18,11 @@ from benchmarks.common import Figures
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp.cycles import order_by_bearing
 from mecp_env.slam.mecp.edge_labels import EdgeBeams
-from mecp_env.slam.mecp.polygons import find_polygons
-from mecp_env.slam.mecp.wall_crossing import best_free_cycles
+from mecp_env.slam.mecp.polygons import best_free_cycles, find_polygons
 from mecp_env.slam.messages import Corners, MergedScan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser

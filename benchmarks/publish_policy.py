@@ -110,7 +110,7 @@ def ship(run: RunResult, target: Path) -> None:
 
     Raises `ConfigError` for a policy that is too large for the repository or cannot be loaded, with nothing changed.
     """
-    from mecp_env.core.paths import write_atomic
+    from mecp_env.core.files import write_atomic
     from mecp_env.learning.learned import load  # with PyTorch, which the curve alone does not need
 
     if target.resolve() == run.folder.resolve():

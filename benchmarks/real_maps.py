@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import to_map
 from mecp_env.render import palette
 from mecp_env.render.figures import TRUE_PATH, TRUTH_GREY

@@ -24,8 +24,8 @@ from pydantic import ConfigDict, TypeAdapter, ValidationError
 
 from mecp_env import __version__
 from mecp_env.core.errors import MecpError
-from mecp_env.core.paths import read_bytes, write_atomic
-from mecp_env.core.snapshot_file import FileKind, check_header
+from mecp_env.core.files import read_bytes, write_atomic
+from mecp_env.core.snapshot import FileKind, check_header
 
 KIND = FileKind("mecp_env record", 1, __version__)
 HEADER = "header"

@@ -18,9 +18,8 @@ import numpy as np
 from benchmarks.drives import Drive, record_drive
 from benchmarks.record_file import Arrays, Header, RecordError, load_record, save_record
 from mecp_env.core.errors import MecpError
-from mecp_env.core.laser_view import LaserView
-from mecp_env.core.messages import Odometry, Scan
 from mecp_env.core.provenance import checksum, dependencies
+from mecp_env.core.sensors import LaserView, Odometry, Scan
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed

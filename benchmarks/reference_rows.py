@@ -11,8 +11,8 @@ import json
 from pathlib import Path
 from typing import Any
 
-from mecp_env.core.paths import write_atomic
-from mecp_env.policies.references import FOLDER, rows_of_references
+from mecp_env.core.files import write_atomic
+from mecp_env.policies.leaderboard import FOLDER, rows_of_references
 from mecp_env.policies.suites import SUITES, Suite, read_submission
 
 RESULTS = Path(__file__).parent / "results" / "suites"

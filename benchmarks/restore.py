@@ -24,7 +24,7 @@ from benchmarks import restore_logs
 from benchmarks.common import Figures, Gate, Options, in_parallel, table
 from benchmarks.restore_logs import same
 from benchmarks.worlds import PIXEL_M, plans_at_hand
-from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
+from mecp_env.core.snapshot import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
 from mecp_env.world.generator import SPLITS

@@ -22,7 +22,7 @@ from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped,
 from benchmarks.drives import replay
 from benchmarks.loop import HARD
 from benchmarks.records import IN_MEMORY, Course, Records
-from mecp_env.evaluation.lost import is_lost
+from mecp_env.evaluation.metric_arrays import is_lost
 from mecp_env.slam.config import chi2_of_point
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950

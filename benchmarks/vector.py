@@ -27,7 +27,7 @@ from gymnasium.wrappers import FilterObservation
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, estimate, table
 from benchmarks.process_use import memory_mb, processor_s
-from mecp_env.core.cores import cores
+from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
 
 NAME, COUNT = "mecp_env/PaperMap-v0", 16

@@ -20,8 +20,8 @@ import numpy as np
 
 from benchmarks.batch import Motion, Optimum, Record, Sighting, filtered, in_order, optimum
 from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data, table
-from mecp_env.core.array_types import Array
-from mecp_env.core.messages import Odometry
+from mecp_env.core.carriers import Array
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, AssociationConfig, FilterConfig
 from mecp_env.slam.filters import Filter, make_filter
 

@@ -16,7 +16,7 @@ from gymnasium import spaces
 import mecp_env
 from mecp_env.config import EnvConfig, ObservationConfig, RewardConfig
 from mecp_env.env import MecpEnv
-from mecp_env.episode.observation_columns import COLUMNS
+from mecp_env.episode.observation_arrays import COLUMNS
 from mecp_env.episode.rewards import weights_of
 from mecp_env.episode.tasks import TASKS
 from mecp_env.floorplans import PlanOptions

@@ -15,7 +15,7 @@ from typing import Any  # noqa: E402
 
 from gymnasium.envs.registration import register, registry  # noqa: E402
 
-from mecp_env.core.version import __version__ as __version__  # noqa: E402
+from mecp_env.core.provenance import __version__ as __version__  # noqa: E402
 
 ENVIRONMENTS = {  # id -> entry point
     "mecp_env/First-v0": "mecp_env.registration:make_first",
@@ -43,7 +43,7 @@ def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool 
     Of an environment that was made with `observation="flat"`, or of one with these `actions` ("velocity", "discrete",
     "goal") and `uncertainty`. Raises `ConfigError` for another environment, and for unknown actions.
     """
-    layout = import_module("mecp_env.episode.flat_layout")  # by name, as an entry point: loaded when it is called
+    layout = import_module("mecp_env.episode.flat")  # by name, as an entry point: loaded when it is called
     names: tuple[str, ...] = layout.flat_names(env, actions=actions, uncertainty=uncertainty)
     return names
 

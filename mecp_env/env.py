@@ -14,9 +14,9 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from mecp_env.config import EnvConfig, ObservationConfig, plain_value
-from mecp_env.core.array_types import Array, Bytes
+from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.core.snapshot import decode, encode, generator_data, make_generator
 from mecp_env.episode.actions import make_actions
 from mecp_env.episode.compact_observations import Flat, Image
@@ -43,7 +43,7 @@ from mecp_env.planning.goal_list import LENGTHS
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.known_ground import Surroundings, offered_goals
 from mecp_env.planning.row_times import RowTimes
-from mecp_env.render.view import SceneView
+from mecp_env.render.shapes import SceneView
 from mecp_env.slam.output import SlamOutput
 from mecp_env.world.odometry import measure
 from mecp_env.world.simulation import Motion

@@ -21,7 +21,7 @@ from mecp_env.planning.goal_list import WAIT, Outcome
 from mecp_env.planning.navigator import Navigator, Target
 from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.replay import Recorder, write_page
-from mecp_env.render.view import SceneView, summary
+from mecp_env.render.shapes import SceneView, summary
 
 Step = tuple[Observation, float, bool, bool, dict[str, Any]]
 UNSEEN: Observation = {}  # of a step within a drive

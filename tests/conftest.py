@@ -33,13 +33,13 @@ def pytest_collection() -> Generator[None, object, object]:
 def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     """An empty working directory; what modules in it register is forgotten in the end."""
     from mecp_env.config import REWARDS
-    from mecp_env.core import own_modules
+    from mecp_env.core import provenance
     from mecp_env.policies.registry import EXPLORERS
     from mecp_env.slam import association, config, filters, mecp
 
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
-    monkeypatch.setattr(own_modules, "_imported", {})
+    monkeypatch.setattr(provenance, "_imported", {})
     for names in (config.METHODS, config.KINDS, config.STRUCTURE_NAMES, REWARDS):
         monkeypatch.setattr(names, "others", [*names.others])
     makers = association.ASSOCIATORS, filters.FILTERS, mecp.STRUCTURES, EXPLORERS

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import pytest
 
+from mecp_env.core.jit import NOT_COMPILED
 from tests.architecture import TREES, figures, functions, imports, levels
 from tests.isolation import uses
 
@@ -42,6 +43,13 @@ INSIDE = {  # how often a file of the tests does what one should not; may only b
 @pytest.mark.parametrize("what", MOST)
 def test_the_tree_keeps_its_bounds(what: str) -> None:
     assert figures()[what] <= MOST[what]
+
+
+def test_folders_that_are_not_compiled_have_no_compiled_functions() -> None:
+    """An edit there compiles nothing again; that nothing else imports them is a contract of the import linter."""
+    compiled = [f.where for f in functions("mecp_env") if f.compiled]
+    assert compiled
+    assert not [where for where in compiled if where.split("/")[1] in NOT_COMPILED]
 
 
 @pytest.mark.parametrize("tree", TREES)

@@ -13,7 +13,7 @@ import tyro
 
 from mecp_env.cli.exit_codes import print_error
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
-from mecp_env.core.paths import exists, is_folder
+from mecp_env.core.files import exists, is_folder
 from mecp_env.core.settings import guess
 from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts

@@ -11,8 +11,7 @@ from typing import ClassVar, Literal
 from mecp_env.cli.base import Seed, check_folder
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import INTERRUPTED, exit_code
-from mecp_env.cli.fields import Fields, configuration
-from mecp_env.cli.with_option import WithModules
+from mecp_env.cli.options import Fields, WithModules, configuration
 
 
 @dataclass(frozen=True)
@@ -43,10 +42,9 @@ class Demo(WithModules):
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.buildings import one, resolve, spare_sources, stem
-        from mecp_env.cli.exploration import FILES, Run  # pictures and physics are loaded only where they are used
-        from mecp_env.cli.map_option import check_map, save_map
+        from mecp_env.cli.explore import FILES, Run  # pictures and physics are loaded only where they are used
+        from mecp_env.cli.options import check_map, end_rerun, rerun_log, save_map
         from mecp_env.cli.progress import ExplorationBar, print_result
-        from mecp_env.cli.rerun_option import end_rerun, rerun_log
         from mecp_env.cli.stopwatch import timed_stages
         from mecp_env.core import warm_up
         from mecp_env.env import MecpEnv

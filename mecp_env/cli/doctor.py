@@ -23,7 +23,7 @@ from rich.text import Text
 
 from mecp_env.cli.base import Command
 from mecp_env.cli.exit_codes import FAILED
-from mecp_env.core.cores import cores
+from mecp_env.core.processes import cores
 
 COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "bold red"}
 EXTRAS = ("torch", "stable-baselines3", "sb3-contrib")

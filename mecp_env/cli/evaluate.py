@@ -17,11 +17,10 @@ from pydantic import Field
 from mecp_env.cli.base import OutFolder, Steps, check_word, check_writable
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
-from mecp_env.cli.fields import EnvironmentFields, named_fields, named_options
-from mecp_env.cli.with_option import WithModules
+from mecp_env.cli.options import EnvironmentFields, WithModules, named_fields, named_options
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.paths import exists, is_folder
+from mecp_env.core.files import exists, is_folder
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
 from mecp_env.episode.tasks import TASKS
@@ -163,7 +162,7 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Sequence[str]) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
-        from mecp_env.policies.references import check_name
+        from mecp_env.policies.leaderboard import check_name
         from mecp_env.policies.suites import submission
 
         for name in self.policies:
@@ -261,7 +260,7 @@ class Evaluate(WithModules):
             where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
         draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
         if self.record:
-            from mecp_env.policies.side_by_side import write_film
+            from mecp_env.policies.evaluation import write_film
 
             names = list(dict.fromkeys(self.policies))
             write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
@@ -269,8 +268,8 @@ class Evaluate(WithModules):
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
-    from mecp_env.core.paths import write_atomic
-    from mecp_env.policies.references import reference_rows
+    from mecp_env.core.files import write_atomic
+    from mecp_env.policies.leaderboard import reference_rows
     from mecp_env.policies.suites import leaderboard
 
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())

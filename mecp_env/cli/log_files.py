@@ -1,4 +1,7 @@
-"""What `mecp-env slam` shows and keeps of a run on a log."""
+"""What `mecp-env slam` shows and keeps of a run on a log.
+
+What `mecp-env slam` prints of the calibration of a robot.
+"""
 
 from __future__ import annotations
 
@@ -14,10 +17,10 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.table import Table
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.paths import naming, write_atomic
-from mecp_env.core.text import sanitised
-from mecp_env.core.trajectories import between, composed
+from mecp_env.core.carriers import Array
+from mecp_env.core.files import naming, sanitised, write_atomic
+from mecp_env.core.se2 import between, composed
+from mecp_env.evaluation.calibration import Calibration, Estimate
 from mecp_env.evaluation.log_run import LogRun
 from mecp_env.evaluation.trajectory import align, tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
@@ -27,8 +30,44 @@ from mecp_env.render.film import Film
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
 from mecp_env.render.screen import thumbnail
-from mecp_env.render.view import SceneView
+from mecp_env.render.shapes import SceneView
 from mecp_env.slam.output import SlamOutput
+
+UNITS = {  # of the fields of a calibration; the others have none
+    "turn_bias_deg_per_m": "deg per m",
+    "x_m": "m",
+    "heading_deg": "deg",
+    "distance_sigma_m": "m per sqrt(m)",
+    "distance_sigma_turning_m": "m per sqrt(rad)",
+    "turn_sigma_deg": "deg per sqrt(m)",
+    "turn_sigma_turning_deg": "deg per sqrt(rad)",
+    "range_sigma_m": "m",
+}
+COLUMNS = {"field": "left", "value": "right", "sigma": "right", "unit": "left", "source": "left"}
+
+
+def print_calibration(calibration: Calibration | None) -> None:
+    """Print each value with its standard deviation and source, and why defaults are used; nothing without one."""
+    if calibration is None:
+        return
+    title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
+    table = Table(title=title, title_justify="left")
+    for column, side in COLUMNS.items():
+        table.add_column(column, justify="right" if side == "right" else "left")
+    for name, estimate in calibration.estimates.items():
+        table.add_row(*_row(name, estimate))
+    if calibration.range_noise_m is not None:
+        table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
+    console = Console()
+    console.print(table)
+    for note in calibration.notes:
+        console.print(f"note: {sanitised(note)}", markup=False)
+
+
+def _row(name: str, estimate: Estimate) -> tuple[str, str, str, str, str]:
+    sigma = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
+    return name, f"{estimate.value:.4f}", sigma, UNITS.get(name, ""), estimate.source
+
 
 FILES = (  # what a run leaves behind; truth.tum only where the log has a reference path
     *("map.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),

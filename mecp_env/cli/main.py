@@ -14,10 +14,16 @@ from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
 from mecp_env.cli.base import Command, gathered
-from mecp_env.cli.broken_pipe import unbreakable_output
-from mecp_env.cli.exit_codes import WRONG_INPUT, at_end, print_error, replace_unprintable, run_command
+from mecp_env.cli.exit_codes import (
+    WRONG_INPUT,
+    at_end,
+    print_error,
+    replace_unprintable,
+    run_command,
+    unbreakable_output,
+)
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.own_modules import import_modules
+from mecp_env.core.provenance import import_modules
 from mecp_env.core.settings import Settings, describe
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."

@@ -12,11 +12,11 @@ from pydantic import Field
 from mecp_env.cli.base import OutFolder, Seed
 from mecp_env.cli.buildings import Reading, ReadingOptions
 from mecp_env.cli.exit_codes import echo
-from mecp_env.cli.with_option import WithModules
+from mecp_env.cli.options import WithModules
 from mecp_env.core.errors import ConfigError
 
 if TYPE_CHECKING:
-    from mecp_env.cli.exploration import Run
+    from mecp_env.cli.explore import Run
     from mecp_env.slam.output import SlamOutput
 
 
@@ -41,7 +41,7 @@ class OneScan(WithModules):
     def run(self, line: Sequence[str]) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
         from mecp_env.cli.buildings import resolve
-        from mecp_env.cli.exploration import Run  # pictures and physics are loaded only here
+        from mecp_env.cli.explore import Run  # pictures and physics are loaded only here
         from mecp_env.env import MecpEnv
         from mecp_env.render.figures import save
         from mecp_env.render.stages import DPI, stage_figures

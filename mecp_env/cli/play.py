@@ -17,16 +17,14 @@ from pydantic import Field
 from mecp_env.cli.base import OutFolder, Seed
 from mecp_env.cli.buildings import SERIES, Reading, ReadingOptions, expand, resolve
 from mecp_env.cli.exit_codes import echo
-from mecp_env.cli.fields import Fields, configuration
-from mecp_env.cli.with_option import WithModules
-from mecp_env.core.array_types import Bytes
+from mecp_env.cli.options import Fields, WithModules, configuration
+from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv
-from mecp_env.render.keys import KeyHelp, key_strip
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.screen import Screen
-from mecp_env.render.view import summary
-from mecp_env.render.window import Window, require_display
+from mecp_env.render.shapes import summary
+from mecp_env.render.window import KeyHelp, Window, key_strip, require_display
 
 FORWARD, BACK = {pygame.K_UP, pygame.K_w}, {pygame.K_DOWN, pygame.K_s}
 LEFT, RIGHT = {pygame.K_LEFT, pygame.K_a}, {pygame.K_RIGHT, pygame.K_d}

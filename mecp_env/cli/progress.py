@@ -10,9 +10,9 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from mecp_env.cli.exploration import FILES, Run
+from mecp_env.cli.explore import FILES, Run
 from mecp_env.cli.stopwatch import Stopwatch
-from mecp_env.core.text import sanitised
+from mecp_env.core.files import sanitised
 
 EVERY = 10  # steps between two updates
 LINE_STEPS = 200  # between two lines, where there is no terminal for a bar

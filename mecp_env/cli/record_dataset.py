@@ -13,8 +13,7 @@ from pydantic import Field
 
 from mecp_env.cli.base import Seed, Steps, check_folder, check_word
 from mecp_env.cli.exit_codes import INTERRUPTED, echo, print_error
-from mecp_env.cli.fields import named_options
-from mecp_env.cli.with_option import WithModules
+from mecp_env.cli.options import WithModules, named_options
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS

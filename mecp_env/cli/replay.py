@@ -13,7 +13,7 @@ import tyro
 from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.exit_codes import INTERRUPTED, echo
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.json_text import read_json
+from mecp_env.core.files import read_json
 
 PAGE, MOST_BYTES = "replay.html", 5_000_000  # of a configuration
 REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a page that one wrote"
@@ -63,7 +63,7 @@ def explored_again(folder: Path) -> dict[str, Any]:
     """The run that `demo` kept in a folder, by its configuration; nothing after Ctrl-C. Raises `ConfigError`."""
     from contextlib import suppress
 
-    from mecp_env.cli.exploration import Run
+    from mecp_env.cli.explore import Run
     from mecp_env.cli.progress import ExplorationBar
     from mecp_env.cli.stopwatch import timed_stages
     from mecp_env.config import EnvConfig

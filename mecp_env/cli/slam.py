@@ -13,8 +13,7 @@ from pydantic import Field
 
 from mecp_env.cli.base import Seed, check_folder
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, exit_code, print_error
-from mecp_env.cli.fields import named_fields
-from mecp_env.cli.with_option import WithModules
+from mecp_env.cli.options import WithModules, named_fields
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
@@ -90,10 +89,8 @@ class Slam(WithModules):
     def run(self, line: Sequence[str]) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources
-        from mecp_env.cli.calibration_table import print_calibration
-        from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_result
-        from mecp_env.cli.map_option import check_map, save_map
-        from mecp_env.cli.rerun_option import end_rerun, rerun_log
+        from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_calibration, print_result
+        from mecp_env.cli.options import check_map, end_rerun, rerun_log, save_map
         from mecp_env.core import warm_up
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
@@ -125,7 +122,7 @@ class Slam(WithModules):
 
     def _ended(self, run: LogRun, options: LogRunConfig) -> int:
         """The exit code, with the reason where the result is of no use."""
-        from mecp_env.evaluation.log_faults import fault_of
+        from mecp_env.evaluation.log_run import fault_of
 
         fault = fault_of(run, options)
         if fault is not None:

@@ -11,8 +11,7 @@ import tyro
 
 from mecp_env.cli.base import check_folder
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, print_os_error
-from mecp_env.cli.fields import named_fields
-from mecp_env.cli.with_option import WithModules
+from mecp_env.cli.options import WithModules, named_fields
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, check_algorithm, read_config
@@ -48,7 +47,7 @@ class Train(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Train to the end, or until Ctrl-C; 1 when a worker died, a weight is not finite, or the disk is full."""
-        from mecp_env.cli.broken_pipe import unbreakable_output
+        from mecp_env.cli.exit_codes import unbreakable_output
 
         config, folder = self.resumed(line) if self.resume else self.new(line)
         with unbreakable_output():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mecp_env.core.array_types import Ints
+from mecp_env.core.carriers import Ints
 from mecp_env.core.jit import compiled
 
 

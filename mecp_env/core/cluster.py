@@ -18,9 +18,8 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.own_modules import checksums, import_modules, imported_modules
 from mecp_env.core.processes import FailedUnit, Failure, WorkerDied
-from mecp_env.core.provenance import dependencies
+from mecp_env.core.provenance import checksums, dependencies, import_modules, imported_modules
 
 ADDRESS = re.compile(r"([\w.-]{1,253}):(\d{1,5})", re.ASCII)
 CONNECT_S = 5.0  # until a machine that does not answer has no cluster

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bytes, Ints
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.jit import compiled
 
 Costs = NDArray[np.int32]

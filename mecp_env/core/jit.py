@@ -29,6 +29,7 @@ from mecp_env.core.interrupts import interrupts_later
 F = TypeVar("F", bound=Callable[..., Any])
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # no test for 0 before a division
 CHECKSUM = "checksum"
+NOT_COMPILED = ("cli", "learning", "policies", "vector")  # folders that no compiled function reads
 KEPT = 4  # folders of other sources; the oldest are removed
 
 log = logging.getLogger(__name__)
@@ -96,10 +97,12 @@ def cache_directory() -> Path:
 
 @functools.cache
 def _sources() -> str:
-    """A name that another content of any source file has not, nor another Python, NumPy or numba."""
+    """A name that no other content of the source files has, nor another Python, NumPy or numba."""
     digest = hashlib.sha256(f"{sys.version} {np.__version__} {numba.__version__}".encode())
-    for path in sorted(Path(__file__).parents[1].rglob("*.py")):
-        digest.update(path.read_bytes())
+    package = Path(__file__).parents[1]
+    for path in sorted(package.rglob("*.py")):
+        if path.relative_to(package).parts[0] not in NOT_COMPILED:
+            digest.update(path.read_bytes())
     return digest.hexdigest()[:16]
 
 

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 
 TILE = 32

@@ -1,12 +1,19 @@
 """A worker process with a pipe, and the cause in words when it dies.
 
 A worker starts with one thread per library, leaves Ctrl-C to the process that started it, and ends with it.
+
+How many cores this process may use: its affinity and the limits of its cgroups.
+
+Memory that was freed but that the C library keeps for later: glibc returns it to the system, or keeps more of it.
 """
 
 from __future__ import annotations
 
 import contextlib
+import ctypes
+import functools
 import gc
+import math
 import multiprocessing
 import os
 import pickle
@@ -16,14 +23,78 @@ import threading
 import time
 import traceback
 import warnings
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from pathlib import Path
 from typing import Any, NoReturn
 
 from mecp_env.core.interrupts import interrupts_later
-from mecp_env.core.own_modules import import_modules, imported_modules
+from mecp_env.core.provenance import import_modules, imported_modules
+
+ROOT = Path("/")
+
+
+def cores(root: Path = ROOT) -> int:
+    """At least 1: the cores of the affinity, or fewer where a cgroup limits CPU time; a limit of 1.5 cores is 2."""
+    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return max(1, min([allowed, *(math.ceil(limit) for limit in _limits(root))]))
+
+
+def _limits(root: Path) -> Iterator[float]:
+    """The CPU limits, in cores, of the cgroup of this process and of all that contain it (versions 1 and 2)."""
+    try:
+        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines()]
+    except OSError:  # not Linux
+        return
+    for _, controllers, path in groups:
+        if controllers and "cpu" not in controllers.split(","):
+            continue
+        mount = root / "sys/fs/cgroup" / controllers
+        group = mount / path.lstrip("/")
+        for folder in (group, *group.parents[: len(group.relative_to(mount).parts)]):
+            yield from _limit(folder)
+
+
+def _limit(folder: Path) -> Iterator[float]:
+    """The limit of one cgroup, if it has one; inside a container the folders of its host are missing."""
+    try:
+        if (folder / "cpu.max").exists():
+            quota, period = (folder / "cpu.max").read_text(encoding="utf-8").split()
+        else:
+            quota, period = (
+                (folder / f"cpu.cfs_{name}_us").read_text(encoding="utf-8").strip() for name in ("quota", "period")
+            )
+        if quota not in ("max", "-1"):
+            yield float(quota) / float(period)
+    except OSError:
+        return
+
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
+
+
+def trim() -> None:
+    """Return freed memory to the system; nothing happens where the C library cannot."""
+    _function("malloc_trim")(0)
+
+
+def keep() -> None:
+    """Keep what is freed from now on, so that large arrays are not taken from the system and cleared each time."""
+    for option, size in ((M_MMAP_THRESHOLD, 2**25), (M_TRIM_THRESHOLD, 2**30)):  # of the first no more is allowed
+        _function("mallopt")(option, size)
+
+
+@functools.cache
+def _function(name: str) -> Callable[..., int]:
+    """A function of the C library; one that does nothing where there is no such function."""
+    try:
+        function: Callable[..., int] = getattr(ctypes.CDLL(None), name)
+    except (AttributeError, OSError, TypeError):  # another C library; Windows
+        return lambda *_: 0
+    return function
+
 
 PATIENCE_S = 2.0  # how often an idle worker checks that its parent process is alive
 KILL_S = 2.0  # how long they then have to react to a signal

@@ -1,4 +1,7 @@
-"""The base of every configuration section: frozen, validated, unknown keys refused, JSON both ways."""
+"""The base of every configuration section: frozen, validated, unknown keys refused, JSON both ways.
+
+Sections of which a named preset gives the fields that are not set.
+"""
 
 from __future__ import annotations
 
@@ -10,9 +13,17 @@ from functools import cache, cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, ValidationError, ValidationInfo, field_validator
+from pydantic import (
+    BaseModel,
+    ConfigDict,
+    ModelWrapValidatorHandler,
+    ValidationError,
+    ValidationInfo,
+    field_validator,
+    model_validator,
+)
 
-from mecp_env.core.array_types import Rows, row_type
+from mecp_env.core.carriers import Rows, row_type
 from mecp_env.core.errors import ConfigError
 
 MOST_FIELDS = 200  # of a part of an untrusted document
@@ -235,3 +246,30 @@ def _without_gone(kind: Any, value: Any) -> Any:
     """A value as it is, or as that of a section without what is gone."""
     is_section = isinstance(kind, type) and issubclass(kind, Settings) and isinstance(value, Mapping)
     return kind.without_gone(value) if is_section else value
+
+
+class PresetSettings(Settings):
+    """A section with a field `preset`: what is not set beside it has the value of the preset, else the default.
+
+    Such a value counts as not set, so that another preset replaces it, and `EnvConfig.to_dict` leaves it out.
+    """
+
+    PRESETS: ClassVar[Mapping[str, Mapping[str, Any]]] = {}
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _filled(cls, given: Any, build: ModelWrapValidatorHandler[Self]) -> Self:
+        if not isinstance(given, Mapping):
+            return build(given)
+        given = cls.completed(given)
+        name = given.get("preset", cls.model_fields["preset"].default)
+        preset = cls.PRESETS.get(name, {}) if isinstance(name, str) else {}
+        preset = {"preset": name, **preset}
+        section = build({**preset, **given})
+        section.model_fields_set.difference_update(preset.keys() - given.keys())
+        return section
+
+    @classmethod
+    def completed(cls, given: Mapping[str, Any]) -> Mapping[str, Any]:
+        """`given`, with a preset that it stands for without naming it."""
+        return given

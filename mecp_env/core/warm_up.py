@@ -18,7 +18,7 @@ import numba
 from mecp_env.core.jit import cache_directory, usable
 
 SWITCH = "MECP_ENV_WARM_UP"  # 0: the first use compiles each function when it is called
-DRIVES = "mecp_env.cli.exercise"  # a process each; not by `multiprocessing`, which imports the user's script again
+DRIVES = "mecp_env.cli.warmup"  # a process each; not by `multiprocessing`, which imports the user's script again
 FIRST, LATER = ("episode",), ("log", "tasks")  # those of `LATER` at the same time
 DONE = "warm"  # file in the cache
 PERIOD_S = 0.5  # of reports

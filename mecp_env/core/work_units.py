@@ -21,7 +21,7 @@ from pydantic import TypeAdapter
 
 from mecp_env.core.cluster import run_on_cluster
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.paths import write_atomic
+from mecp_env.core.files import write_atomic
 from mecp_env.core.processes import FailedUnit, Failure, Worker, WorkerDied
 from mecp_env.core.provenance import checksum
 

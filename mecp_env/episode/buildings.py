@@ -12,7 +12,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from mecp_env.core.errors import ConfigError, LayoutError
-from mecp_env.core.paths import is_folder
+from mecp_env.core.files import is_folder
 from mecp_env.core.registry import Names
 from mecp_env.core.settings import shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files

@@ -6,10 +6,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bytes
+from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import to_robot
-from mecp_env.episode.flat_arrays import KINDS, fill_flat
-from mecp_env.episode.flat_layout import GOAL, NEAR_S, PREDICTED, ROWS, flat_columns
+from mecp_env.episode.flat import GOAL, KINDS, NEAR_S, PREDICTED, ROWS, fill_flat, flat_columns
 from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.episode.observations import GridWindows, Seen
 from mecp_env.planning.goals import Goals

@@ -1,4 +1,7 @@
-"""One episode: everything that persists over its steps, and the format of its snapshot."""
+"""One episode: everything that persists over its steps, and the format of its snapshot.
+
+The shapes of the arrays of a running episode beside those of the estimator (`mecp_env.slam.map_file`).
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,81 @@ from typing import Any
 import numpy as np
 
 from mecp_env.config import EnvConfig
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.snapshot import StateError, damage_refused
-from mecp_env.core.snapshot_check import check_fields, examples_of
+from mecp_env.core.snapshot_check import (
+    FAR,
+    LONG,
+    NEAR,
+    Shapes,
+    check_declared,
+    check_fields,
+    check_shapes,
+    examples_of,
+)
 from mecp_env.episode.observations import TravelledPath
 from mecp_env.episode.rewards import RewardMemory
 from mecp_env.evaluation.metrics import EpisodeMetrics
+from mecp_env.planning.goal_list import INTEGERS, LENGTHS
 from mecp_env.planning.goals import GoalHistory, Goals
+from mecp_env.slam.map_file import SHAPES as SLAM_SHAPES
+from mecp_env.slam.map_file import check_pipeline
 from mecp_env.slam.messages import Match
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.moving_obstacles import Moving
+
+SHAPES: Shapes = {
+    **SLAM_SHAPES,
+    "EpisodeState": {"target": f"2 in {NEAR}", "quiet": f" in 0:{LONG}"},
+    "EpisodeMetrics": {
+        "T_world_map": f"3 in {NEAR}",
+        "T_map_robot": f"3 in {NEAR}",
+        "seen": "h w",
+        "swept_from": "2",
+    },
+    "AssociationLog": {
+        "votes": "f g",
+        "features": "f 2 in -1:9223372036854775807",
+        "counts": "4",
+        "rows": "r 4",
+        "used": " in 0:r+1",
+    },
+    "GoalHistory": {"entry[]": "2", "good_place": "2"},
+    "Goals": {"p_map": f"g 2 in {NEAR}"} | dict.fromkeys((*INTEGERS, *LENGTHS), "g"),
+    "TravelledPath": {"points": f"c 2 in {NEAR}", "count": " in 0:c+1"},
+    "Moving": {
+        "pedestrians": f"n 11 in -{LONG}:{LONG}",
+        "routes": f"n 96 2 in -{LONG}:{LONG}",
+        "legs": "n 2 in 0:97",
+        "places": f"p 2 in {NEAR}",
+        "rooms": "p",
+        "boxes": f"b 6 in -{LONG}:{LONG}",
+        "sizes": f"b 2 in 0:{FAR}",
+        "closed": "d",
+        "start": f"2 in {NEAR}",
+        "dark_seed": f" in 0:{LONG}",
+    },
+}
+
+
+def check_arrays(body: dict[str, Any], episode: Any, moving: Any) -> None:
+    """Raise `StateError` unless the arrays of a state are consistent."""
+    sizes = check_pipeline(episode.pipeline, "state.episode.pipeline")
+    for name, value in body.items():
+        check_declared(value, f"6 in {NEAR}", {}, f"state.simulation.{name}")
+    check_shapes(episode, SHAPES, "state.episode", sizes)
+    check_shapes(moving, SHAPES, "state.moving", sizes)
+    if not moving.can_continue():
+        raise StateError("state.moving: a route without the next point, or pedestrians without destinations")
+
+
+def check_truth(episode: Any, free: tuple[int, ...]) -> None:
+    """Raise `StateError` unless the seen cells are those of the building, whose free space has the shape `free`."""
+    seen, visited = episode.metrics.seen.shape, episode.metrics.visited_by_obstacles.shape
+    if seen != free or visited not in ((0, 0), free):
+        raise StateError(f"state.episode.metrics: cells {seen} and {visited}, the building has {free}")
+
 
 STATE_FORMAT, STATE_VERSION = "mecp_env/state", 14
 RECENT = 0.2  # weight of the last scan in the recent share of recognised corners

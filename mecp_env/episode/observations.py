@@ -10,7 +10,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bytes, Ints
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.episode import observation_arrays
 from mecp_env.episode.observation_arrays import GOALS, LANDMARKS, Part
 from mecp_env.planning.goals import Goals

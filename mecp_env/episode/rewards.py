@@ -2,7 +2,7 @@
 
 Each measured term is the change of a potential in a step. The terms of an episode therefore sum to the potential at its
 end minus the potential at its start, whatever happened in between: uncertainty that grows and shrinks again, an area
-mapped twice, or a map that is redrawn earns nothing. The terms of a metric (`mecp_env.episode.metric_rewards`) sum to
+mapped twice, or a map that is redrawn earns nothing. The terms of a metric (`mecp_env.episode.potentials`) sum to
 its mean over the step limit.
 """
 
@@ -16,13 +16,19 @@ from typing import NamedTuple
 import numpy as np
 
 from mecp_env.config import REWARDS, RewardConfig
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower
 from mecp_env.core.settings import shown
-from mecp_env.episode.metric_rewards import METRIC_TERMS, MetricMemory, metric_terms, start_metrics
-from mecp_env.episode.potentials import POTENTIALS, RewardInputs
+from mecp_env.episode.potentials import (
+    METRIC_TERMS,
+    POTENTIALS,
+    MetricMemory,
+    RewardInputs,
+    metric_terms,
+    start_metrics,
+)
 from mecp_env.evaluation.metric_arrays import DOOR, FREE
 from mecp_env.slam.messages import SemanticGrid
 
@@ -118,7 +124,7 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
     - `pose_information`: nat, increase of -0.5 log det P of the pose.
     - `landmark_information`: nat, increase of the mean of -0.5 log det P over the landmarks.
     - the potentials that have a weight (`mecp_env.episode.potentials`): their change; 0 for the others.
-    - those of `mecp_env.episode.metric_rewards`.
+    - those of `mecp_env.episode.potentials`.
     """
     area_m2, pose_nat, landmark_nat, before = memory.area_m2, memory.pose_nat, memory.landmark_nat, memory.potentials
     remember(memory, inputs, config)
@@ -139,7 +145,7 @@ class Happened(NamedTuple):
     """The events of a step."""
 
     contact: bool = False
-    off: bool = False  # the pose, by ground truth (`mecp_env.evaluation.lost`)
+    off: bool = False  # the pose, by ground truth (`mecp_env.evaluation.metric_arrays`)
     terminated: bool = False
     diverged: bool = False
     lost_m2: float | None = None  # misplaced floor, in the step in which an episode ends lost
@@ -154,8 +160,8 @@ def events(memory: RewardMemory, happened: Happened) -> dict[str, float]:
     - `time`: 1 in every step.
     - `completion`: once, when the episode terminates: the area that counts as mapped, in 100 m^2.
     - `divergence`: 1 once, when the filter diverges, which ends the episode.
-    - `lost`: once, when the episode ends and the robot is lost (`mecp_env.evaluation.lost`, from ground truth) with
-      `lost_m2` of floor that the map does not have in its place: 1, and 1 for each 20 m^2 of it.
+    - `lost`: once, when the episode ends and the robot is lost (`mecp_env.evaluation.metric_arrays`, from ground truth)
+      with `lost_m2` of floor that the map does not have in its place: 1, and 1 for each 20 m^2 of it.
     """
     return {
         "contact": float(happened.contact),

@@ -9,7 +9,7 @@ import numpy as np
 from shapely.geometry import Point
 
 from mecp_env.config import unknown
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import number
 from mecp_env.world.config import RobotConfig

@@ -8,23 +8,22 @@ from typing import Any
 import numpy as np
 
 from mecp_env.config import EnvConfig
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, MecpError
-from mecp_env.core.messages import Scan
+from mecp_env.core.sensors import Scan
 from mecp_env.core.snapshot import StateError, damage_refused
 from mecp_env.episode.buildings import check_number, choose_buildings, count_all, draw_building, make_source
-from mecp_env.episode.episode import EpisodeState
+from mecp_env.episode.episode import EpisodeState, check_arrays, check_truth
 from mecp_env.episode.start import Start, check_start, start_pose
-from mecp_env.episode.state_shapes import check_arrays, check_truth
 from mecp_env.evaluation.ground_truth import CELL_M, NO_OBSTACLES, DynamicObstacles, GroundTruth
-from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.config import LaserConfig
+from mecp_env.world.doors import close_doors, draw_closed
 from mecp_env.world.laser import Laser
 from mecp_env.world.moving_obstacles import Movers, Moving, no_movers, wants_movers
 from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.pedestrians import WalkwayPlanner
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion, Simulation
-from mecp_env.world.walkways import WalkwayPlanner
 
 KEPT_BUILDINGS = 4  # that the environments of a process share and do not compute again
 DARK_SEEDS = 1_000_000  # as many different choices of dark walls

@@ -9,7 +9,7 @@ import numpy as np
 import scipy.spatial
 import shapely
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import inverse
 from mecp_env.evaluation import metric_arrays
 from mecp_env.slam.messages import SemanticGrid

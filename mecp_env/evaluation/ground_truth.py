@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 import shapely
 
-from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.carrier import carrier
-from mecp_env.core.laser_view import LaserView
+from mecp_env.core.carriers import Array, Bools, Ints, carrier
 from mecp_env.core.se2 import compose
+from mecp_env.core.sensors import LaserView
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.correct_coverage import FloorAndWalls, floor_and_walls
 from mecp_env.slam.messages import Corners

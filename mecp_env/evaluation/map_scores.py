@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bytes, Ints
 from mecp_env.core.arrays import rows_by_id
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.se2 import inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import GroundTruth

@@ -8,13 +8,12 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.budget import budget_m
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.correct_coverage import MapQuality, correct_coverage
 from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth
-from mecp_env.evaluation.lost import LostWatch
 from mecp_env.evaluation.map_scores import (
     covers,
     door_error,
@@ -23,6 +22,7 @@ from mecp_env.evaluation.map_scores import (
     landmark_errors,
     rooms_found,
 )
+from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.output import SlamOutput
 

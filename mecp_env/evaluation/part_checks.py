@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, to_robot
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.checks import MatchError, check_match
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon

@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
-from mecp_env.core.trajectories import between, composed, interpolated, wrapped
+from mecp_env.core.carriers import Array, Bools
+from mecp_env.core.se2 import between, composed, interpolated, wrapped
 
 COINCIDENT_S = 1e-3  # a relation whose stamps differ by less from those of two poses needs no interpolation
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 from shapely.errors import GEOSException
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.paths import exists, read_bytes
+from mecp_env.core.files import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.floorplans.assemble import layout_of
 from mecp_env.floorplans.folder import ENDINGS, plan_files

@@ -14,7 +14,7 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, Polygon
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.floorplans.door_candidates import STRAIGHT, crossings, wall_faces
 from mecp_env.floorplans.furniture import without_furniture
 from mecp_env.floorplans.options import Crossing, PlanOptions

@@ -6,7 +6,7 @@ import numpy as np
 import shapely
 from shapely.geometry import Polygon
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.floorplans.door_detection import FRAME_WIDTH_M, Gap, Walls, doorways, extent, find_doors
 from mecp_env.floorplans.furniture import without_furniture
 from mecp_env.floorplans.options import PlanOptions

@@ -17,7 +17,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.text import sanitised
+from mecp_env.core.files import sanitised
 from mecp_env.slam.export import Level, save_grid, save_levels
 from mecp_env.slam.messages import Cell, SemanticGrid
 from mecp_env.world.layout import Layout

@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.paths import read_bytes
+from mecp_env.core.files import read_bytes
 
 SUPPORTED = "read are our JSON, HouseExpo JSON, map_server yaml with its image, PNG, PGM, BMP and TIFF"
 DRAW = "export it as a PNG with white floor and black walls, and read that with --resolution-m"

@@ -11,7 +11,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 
 FURNITURE_M = (0.2, 2.0)  # an island at least so wide and at most so long is a piece of furniture, not a wall,
 PILLAR_M = 0.45  # and so is a smaller one of any shape

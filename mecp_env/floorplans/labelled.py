@@ -12,7 +12,7 @@ from PIL import Image
 from scipy import ndimage
 from shapely.geometry import Point
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans.image import read_image
 from mecp_env.floorplans.options import Crossing, FreeSpace, PlanOptions

@@ -15,9 +15,9 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, Strict, model_validator
 
-from mecp_env.core.array_types import Bools
+from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
-from mecp_env.core.paths import exists, read_bytes
+from mecp_env.core.files import exists, read_bytes
 from mecp_env.core.settings import shown
 from mecp_env.floorplans.foreign import of_yaml
 from mecp_env.floorplans.image import UNKNOWN_SHARE, grey, read_image, shares

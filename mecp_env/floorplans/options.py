@@ -8,7 +8,7 @@ from typing import Annotated
 from pydantic import AfterValidator, BeforeValidator, Field
 from shapely.geometry import Point, Polygon
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.settings import Settings, as_range
 
 Width = Annotated[float, Field(ge=0.3, le=4.0)]

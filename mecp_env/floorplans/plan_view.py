@@ -12,7 +12,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 from shapely.ops import nearest_points
 
-from mecp_env.render.floor_plan import LETTER, LINES, FloorPlan, PlanRoom, Shape
+from mecp_env.render.palette import LETTER, LINES, FloorPlan, PlanRoom, Shape
 from mecp_env.world.outline import Outline, build_outline, door_ring, obstacle_shape, solid_shape, wall_solids
 from mecp_env.world.schema import Layout
 

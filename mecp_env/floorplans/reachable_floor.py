@@ -9,7 +9,7 @@ from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans.options import PlanOptions
 from mecp_env.world.outline import ROBOT_RADIUS_M

@@ -17,7 +17,7 @@ import shapely
 from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.world.outline import thin_walls_m
 
 FINE = 0.4  # of the noise: walls of one pixel keep their direction only in a finer drawing

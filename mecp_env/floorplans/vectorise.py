@@ -14,7 +14,7 @@ import shapely
 from scipy import ndimage
 from shapely.geometry import Polygon
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
 
 MAX_CELLS = 4_000_000  # of the box around the floor; with more, several pixels become one

@@ -17,11 +17,10 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from mecp_env.learning import files
-from mecp_env.learning.checkpoints import TrainingState
 from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_validation_env, vectorise
-from mecp_env.learning.option_buffer import OptionBuffer, bootstrap_truncated
-from mecp_env.learning.run_folder import RunFolder
-from mecp_env.learning.run_log import CLOCK, RunLog
+from mecp_env.learning.files import TrainingState
+from mecp_env.learning.run_folder import CLOCK, RunFolder, RunLog
+from mecp_env.learning.sb3_batch import OptionBuffer, bootstrap_truncated
 
 MOST_WORKERS = 8
 

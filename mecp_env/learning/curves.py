@@ -11,9 +11,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from mecp_env.core.array_types import Array
-from mecp_env.learning.run_log import EVALUATION, TRAINING, CsvTable
-from mecp_env.render.legends import drawn
+from mecp_env.core.carriers import Array
+from mecp_env.learning.run_folder import EVALUATION, TRAINING, CsvTable
+from mecp_env.render.figures import drawn
 
 CURVES = "curves.png"
 PANELS = (  # column, label with its unit, factor

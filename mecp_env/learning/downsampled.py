@@ -9,9 +9,9 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Bytes
+from mecp_env.core.carriers import Bytes
 from mecp_env.policies.gain import Gain, Weights
-from mecp_env.policies.policy import KIND, PLACE, VALID
+from mecp_env.policies.registry import KIND, PLACE, VALID
 
 Observation = dict[str, NDArray[Any]]
 

@@ -12,7 +12,7 @@ import numpy as np
 from pydantic import BeforeValidator, ValidationError
 
 from mecp_env.config import ObservationConfig, as_section
-from mecp_env.core.array_types import Bools
+from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings, describe
 from mecp_env.learning.fits import Fit, choices_of, with_known_ground

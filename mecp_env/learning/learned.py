@@ -22,9 +22,8 @@ from mecp_env.learning.downsampled import downsample
 from mecp_env.learning.exported import load_script
 from mecp_env.learning.files import WeightError
 from mecp_env.learning.model_policy import ModelPolicy, own_goals
-from mecp_env.learning.models import make_network
+from mecp_env.learning.models import load_zip, make_network
 from mecp_env.learning.run_folder import CONFIG, POLICY
-from mecp_env.learning.stock_models import load_zip
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 

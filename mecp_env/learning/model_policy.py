@@ -7,7 +7,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mecp_env.core.array_types import Bools
+from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.downsampled import goal_masks, without_known_ground
 from mecp_env.learning.fits import Fit

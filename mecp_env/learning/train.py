@@ -12,15 +12,14 @@ import numpy as np
 import torch
 from stable_baselines3.common.vec_env import VecNormalize
 
-from mecp_env.core import heap
+from mecp_env.core import processes
 from mecp_env.learning import models
 from mecp_env.learning.callbacks import EvaluationCallback, OptionCallback, SafeCheckpointCallback, StatisticsCallback
-from mecp_env.learning.checkpoints import TrainingState
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.curves import draw_training
 from mecp_env.learning.environments import make_env, make_many
-from mecp_env.learning.run_folder import RunFolder
-from mecp_env.learning.run_log import RunLog
+from mecp_env.learning.files import TrainingState
+from mecp_env.learning.run_folder import RunFolder, RunLog
 from mecp_env.learning.warm_start import check_teacher, warm_start
 
 AT_ONCE: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
@@ -64,7 +63,7 @@ class TrainingRun:
         gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
         self.venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
         self.model = models.make_model(config, self.venv, config.seed)
-        heap.keep()  # of an update; the workers are not meant
+        processes.keep()  # of an update; the workers are not meant
         self.statistics = StatisticsCallback(self.state, self.log, timed)
         self.evaluation = EvaluationCallback(self.folder, self.log, self.statistics)
         return self

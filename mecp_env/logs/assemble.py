@@ -10,14 +10,13 @@ from collections import Counter
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LogError
-from mecp_env.core.trajectories import between, chained, composed, interpolated
+from mecp_env.core.se2 import between, chained, composed, interpolated
 from mecp_env.logs.clock import Clock, ascending_rows, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
-from mecp_env.logs.readings import Readings, clean
-from mecp_env.logs.recording import Recording, Sweep, Track
+from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean
 
 FARTHEST_M = 1e8  # no pose is farther: world coordinates have millions of m
 GAP = 5.0  # medians between two scans

@@ -16,7 +16,7 @@ from mecp_env.core.settings import guess
 from mecp_env.logs.bag_chunks import check_chunks
 from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, planar, transform
-from mecp_env.logs.recording import POSE_BYTES, Budget, Geometry, Recording, Sweep
+from mecp_env.logs.readings import POSE_BYTES, Budget, Geometry, Recording, Sweep
 
 SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
 FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")

@@ -23,11 +23,11 @@ from typing import IO
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
-from mecp_env.core.paths import read_bytes
+from mecp_env.core.files import read_bytes
 from mecp_env.core.settings import guess
-from mecp_env.logs.recording import POSE_BYTES, SWEEP_BYTES, Budget, Geometry, Recording, Sweep, Track
+from mecp_env.logs.readings import POSE_BYTES, SWEEP_BYTES, Budget, Geometry, Recording, Sweep, Track
 
 MOST_BYTES = 2**30
 PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20

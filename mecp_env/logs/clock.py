@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LogError
-from mecp_env.logs.recording import Recording, Sweep
+from mecp_env.logs.readings import Recording, Sweep
 
 Clock = Literal["message", "received"]
 LATEST_S = 1e11  # no stamp is later: the year 5138

@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
-from mecp_env.logs.recording import POSE_BYTES, Budget, Track
+from mecp_env.logs.readings import POSE_BYTES, Budget, Track
 
 Transform = Array  # (4,4)
 ROBOT_FRAMES = ("base_link", "base_footprint")

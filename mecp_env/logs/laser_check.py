@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.trajectories import between, composed
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.se2 import between, composed
 from mecp_env.logs.log import Log
 from mecp_env.logs.registration import registered_path
 

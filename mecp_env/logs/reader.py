@@ -7,15 +7,14 @@ from pathlib import Path
 from pydantic import Field
 
 from mecp_env.core.errors import LogError, MecpError
-from mecp_env.core.paths import exists
+from mecp_env.core.files import exists
 from mecp_env.core.settings import Settings
-from mecp_env.logs.archive import read_archive
 from mecp_env.logs.assemble import assemble
 from mecp_env.logs.bag import is_bag, read_bag
 from mecp_env.logs.carmen import PACKED, read_carmen
 from mecp_env.logs.clock import Clock
-from mecp_env.logs.log import Log
-from mecp_env.logs.recording import Recording, Track
+from mecp_env.logs.log import Log, read_archive
+from mecp_env.logs.readings import Recording, Track
 from mecp_env.logs.tables import TABLES, read_table
 
 CARMEN = (".log", ".clf", ".carmen")

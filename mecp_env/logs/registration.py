@@ -13,8 +13,8 @@ from itertools import product
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mecp_env.core.array_types import Array, Bools
-from mecp_env.core.trajectories import between, composed
+from mecp_env.core.carriers import Array, Bools
+from mecp_env.core.se2 import between, composed
 from mecp_env.logs.log import Log
 
 ROUNDS = 20  # of ICP at most

@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
-from mecp_env.core.paths import read_bytes
+from mecp_env.core.files import read_bytes
 from mecp_env.logs.carmen import MOST_BEAMS, MOST_BYTES
-from mecp_env.logs.recording import Budget, Geometry, Recording, Sweep
+from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
 
 TABLES = (".csv", ".dat")
 STAMPS = ("t", "time", "stamp", "timestamp")

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.planning.goals import GoalKind
 
 PATH, KIND, ROOM, LEVEL, VALID = 2, 4, 5, 6, 8  # columns of the observation's goals

@@ -7,7 +7,7 @@ import math
 import numpy as np
 from pydantic import Field
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.settings import Settings
 
 

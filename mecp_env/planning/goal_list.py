@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.messages import NO_ID
 
 

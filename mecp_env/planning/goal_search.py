@@ -10,8 +10,8 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints
 from mecp_env.core.arrays import rows_by_id
+from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.slam.messages import Belief, MapPolygon, SemanticGrid

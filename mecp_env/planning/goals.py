@@ -12,12 +12,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, PLACE, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.levels import door_levels, polygon_levels, rings_by_room
-from mecp_env.planning.paths import CostToGoField, cost_to_go_field
+from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph
 from mecp_env.slam.output import SlamOutput
 

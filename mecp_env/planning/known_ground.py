@@ -7,12 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose
 from mecp_env.planning.config import KnownGroundConfig, PlanningConfig
 from mecp_env.planning.goal_list import Goal, GoalKind, Goals, PlaceKind
 from mecp_env.planning.goals import GoalHistory, reach_of
-from mecp_env.planning.paths import CostToGoField, cost_to_go_field
+from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
 from mecp_env.planning.prediction import predict
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief
 from mecp_env.slam.output import SlamOutput

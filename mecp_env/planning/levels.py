@@ -7,8 +7,8 @@ from itertools import accumulate
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import rows_by_id
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph
 from mecp_env.slam.output import SlamOutput

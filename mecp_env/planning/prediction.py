@@ -13,13 +13,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints
+from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.grid_paths import DCOL, DROW, Distances, clear_line
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.planning.config import PredictionConfig
 from mecp_env.planning.goal_list import Goal
-from mecp_env.planning.paths import CostToGoField
+from mecp_env.planning.navigator import CostToGoField
 from mecp_env.slam.messages import Belief
 
 SHORT_M = 0.5  # a landmark is in sight if the way to this far before it is free: it is on a wall

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.planning.goal_list import PLACE, WAIT, Goals
 

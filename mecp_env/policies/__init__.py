@@ -3,7 +3,6 @@
 A policy is a class with `actions`, the action mode that it needs, `reset(seed)` and `act(observation, mask)`.
 """
 
-from mecp_env.policies.policy import Policy, choices
-from mecp_env.policies.registry import make_policy, policy_names
+from mecp_env.policies.registry import Policy, choices, make_policy, policy_names
 
 __all__ = ["Policy", "choices", "make_policy", "policy_names"]

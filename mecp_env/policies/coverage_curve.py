@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 
 
 @dataclass(slots=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.policies.policy import PATH, Mask, choices
+from mecp_env.policies.registry import PATH, Mask, choices
 
 LEAST_HELD, MOST_HELD = 3, 20  # steps for which the random walk holds a command
 TURN_IN_PLACE = 0.3  # share of its commands

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bytes
-from mecp_env.policies.policy import KIND, PATH, Mask, X, Y, choices
+from mecp_env.core.carriers import Array, Bytes
+from mecp_env.policies.registry import KIND, PATH, Mask, X, Y, choices
 
 CELLS, CELL_M = 96, 0.2  # of the observation's grid, the robot in the middle, its heading up
 FREE, OCCUPIED, UNKNOWN = 0, 2, 3  # layers of it

@@ -16,7 +16,7 @@ import numpy as np
 
 from mecp_env.config import ObservationConfig, merge
 from mecp_env.core.errors import ConfigError
-from mecp_env.policies.policy import Policy
+from mecp_env.policies.registry import Policy
 from mecp_env.policies.rollout import options_of
 from mecp_env.policies.setting import Setting
 from mecp_env.wrappers import GoalActions

@@ -16,8 +16,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import shown
 from mecp_env.episode.observations import COV_MAX
 from mecp_env.policies.coverage_curve import CoverageCurve
-from mecp_env.policies.policy import Policy
-from mecp_env.policies.registry import ended, make_policy
+from mecp_env.policies.registry import Policy, ended, make_policy
 from mecp_env.policies.setting import Setting
 
 LEVELS = (0.90, 0.99)

@@ -11,7 +11,7 @@ from typing import Any
 
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.paths import exists
+from mecp_env.core.files import exists
 from mecp_env.core.provenance import checksum
 from mecp_env.episode.buildings import PLAN, PlanFiles, generator_keywords, make_source
 from mecp_env.episode.tasks import TASKS

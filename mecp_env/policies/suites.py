@@ -12,15 +12,14 @@ from typing import Annotated, Any
 from pydantic import BeforeValidator, Field, TypeAdapter
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.json_text import read_json
+from mecp_env.core.files import read_json
 from mecp_env.core.provenance import checksum, checksum_of_parts, commit
 from mecp_env.core.settings import few, guess
 from mecp_env.policies.comparison import Row, figures_of
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.leaderboard import TRAINING
+from mecp_env.policies.leaderboard import TRAINING, check_name
 from mecp_env.policies.leaderboard import leaderboard as leaderboard
-from mecp_env.policies.policy import Policy
-from mecp_env.policies.references import check_name
+from mecp_env.policies.registry import Policy
 from mecp_env.policies.rollout import make_rooms, options_of
 from mecp_env.policies.setting import Setting
 

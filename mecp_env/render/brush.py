@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import pygame
 
-from mecp_env.core.array_types import Array, Bytes
-from mecp_env.core.text import sanitised
+from mecp_env.core.carriers import Array, Bytes
+from mecp_env.core.files import sanitised
 from mecp_env.render.palette import INK, PAPER, RGB
 
 Place = Sequence[float] | Array

@@ -10,11 +10,11 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from mecp_env.core.text import sanitised
+from mecp_env.core.files import sanitised
 from mecp_env.render import palette
-from mecp_env.render.legends import drawn, is_drawn
+from mecp_env.render.figures import drawn, is_drawn
 from mecp_env.render.palette import unit
-from mecp_env.render.view import SceneView
+from mecp_env.render.shapes import SceneView
 
 NEES_BAND = 0.216, 9.348  # 95 % of a chi-square of 3 degrees of freedom
 LEAST_NEES, MOST_NEES = 0.02, 30.0  # of the axis, which a larger value makes longer

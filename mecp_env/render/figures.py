@@ -1,4 +1,7 @@
-"""The finished map as a figure, with matplotlib."""
+"""The finished map as a figure, with matplotlib.
+
+Legends that name what is drawn, and nothing else.
+"""
 
 from __future__ import annotations
 
@@ -8,17 +11,34 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import Collection, LineCollection, PolyCollection
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
 from matplotlib.patheffects import withStroke
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.text import sanitised
+from mecp_env.core.carriers import Array
+from mecp_env.core.files import sanitised
 from mecp_env.render import palette, shapes
-from mecp_env.render.legends import drawn
 from mecp_env.render.palette import unit
-from mecp_env.render.view import SceneView, loops, signed_area, summary
+from mecp_env.render.shapes import SceneView, loops, signed_area, summary
+
+
+def drawn(axes: Axes) -> dict[str, Any]:
+    """`handles` and `labels` for a legend, of the artists that show something."""
+    pairs = zip(*axes.get_legend_handles_labels(), strict=True)
+    shown = [(artist, label) for artist, label in pairs if is_drawn(artist)]
+    return {"handles": [artist for artist, _ in shown], "labels": [label for _, label in shown]}
+
+
+def is_drawn(artist: Artist | Any) -> bool:
+    """Whether an artist shows something: a line without a finite point shows nothing, a collection without a path."""
+    if isinstance(artist, Line2D):
+        return bool(np.isfinite(np.asarray(artist.get_xydata(), float)).all(axis=1).any())
+    return len(artist.get_paths()) > 0 if isinstance(artist, Collection) else True
+
 
 DPI = 220  # a figure has at least twice the pixels of the place where a page shows it
 CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from mecp_env.core.array_types import Bytes
+from mecp_env.core.carriers import Bytes
 from mecp_env.render import palette
 
 COLOURS = 96

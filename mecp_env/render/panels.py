@@ -7,12 +7,12 @@ import math
 import numpy as np
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
-from mecp_env.core.array_types import Array, Bytes
+from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
-from mecp_env.render.view import KNOWN_GROUND, SceneView, loops, signed_area
+from mecp_env.render.shapes import KNOWN_GROUND, SceneView, loops, signed_area
 from mecp_env.slam.messages import Cell, SemanticGrid
 
 OCCUPIED = int(Cell.OCCUPIED)

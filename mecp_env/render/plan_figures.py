@@ -18,13 +18,12 @@ from matplotlib.patches import Circle, Patch, PathPatch, Polygon
 from matplotlib.path import Path
 from mpl_toolkits.axes_grid1.anchored_artists import AnchoredSizeBar  # type: ignore[import-untyped]
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.text import sanitised
+from mecp_env.core.files import sanitised
 from mecp_env.render import palette
 from mecp_env.render.figures import boxes_for_missing_glyphs
-from mecp_env.render.floor_plan import LINES, FloorPlan, PlanRoom, Shape
-from mecp_env.render.palette import unit
+from mecp_env.render.palette import LINES, FloorPlan, PlanRoom, Shape, unit
 
 FORMATS = (".png", ".svg")
 ALONE_IN, ON_SHEET_IN = (7.1, 6.2), (3.5, 3.4)  # width and height that a plan may have, inches

@@ -5,13 +5,12 @@ from __future__ import annotations
 import numpy as np
 from pydantic import Field
 
-from mecp_env.core.array_types import Array, Bytes
+from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.settings import Settings
 from mecp_env.render import palette
 from mecp_env.render.brush import Box, Brush
 from mecp_env.render.panels import draw_belief, draw_nothing, draw_scan, draw_world
-from mecp_env.render.shapes import magnification
-from mecp_env.render.view import KNOWN_GROUND, SceneView, summary
+from mecp_env.render.shapes import KNOWN_GROUND, SceneView, magnification, summary
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
 SMALL_MARGIN, SMALL_HEADER = 8, 44  # of a thumbnail

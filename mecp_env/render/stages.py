@@ -11,10 +11,10 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import polar_to_points, to_robot
 from mecp_env.render import palette, shapes
-from mecp_env.render.legends import drawn
+from mecp_env.render.figures import drawn
 from mecp_env.render.palette import unit
 from mecp_env.slam.messages import Clusters, CornerKind, Decision, EdgeLabel, Reason
 from mecp_env.slam.output import SlamOutput

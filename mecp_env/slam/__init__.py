@@ -10,7 +10,7 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from mecp_env.core.messages import Odometry, Scan
+    from mecp_env.core.sensors import Odometry, Scan
     from mecp_env.slam.checks import MatchError, SensorError
     from mecp_env.slam.config import SlamConfig
     from mecp_env.slam.map_file import MapError, SlamMap
@@ -32,8 +32,8 @@ __all__ = [
 MODULES = {
     "MapError": "mecp_env.slam.map_file",
     "MatchError": "mecp_env.slam.checks",
-    "Odometry": "mecp_env.core.messages",
-    "Scan": "mecp_env.core.messages",
+    "Odometry": "mecp_env.core.sensors",
+    "Scan": "mecp_env.core.sensors",
     "SensorError": "mecp_env.slam.checks",
     "SlamConfig": "mecp_env.slam.config",
     "SlamMap": "mecp_env.slam.map_file",

@@ -11,11 +11,11 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import MecpError
 from mecp_env.core.errors import SensorError as SensorError
 from mecp_env.core.jit import compiled
-from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.messages import Decision, Match
 
 KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}

@@ -21,9 +21,9 @@ import yaml
 from numpy.typing import NDArray
 from PIL import Image
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.paths import write_atomic
+from mecp_env.core.files import write_atomic
 from mecp_env.core.settings import guess
 from mecp_env.slam.messages import Belief, Cell, RoomGraph, SemanticGrid
 from mecp_env.slam.outlines import Ring, door_outline, room_outline

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows, row_type
 from mecp_env.core.arrays import find_rows
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows, carrier, row_type
 from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
 
 UNKNOWN_ROOM = -1

@@ -8,7 +8,7 @@ from collections import defaultdict
 import numpy as np
 from scipy import ndimage
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.slam.messages import Belief, Door, SemanticGrid
 
 Ring = Array  # (n,2), closed: the last point is the first; counter-clockwise around floor, clockwise around a hole

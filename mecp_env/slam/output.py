@@ -8,8 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import Array, carrier
 from mecp_env.core.se2 import compose
 from mecp_env.slam.messages import (
     NO_ID,

@@ -9,11 +9,11 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import Associator, make_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
-from mecp_env.slam.filters.divergence import Divergence
+from mecp_env.slam.filters.compatibility import Divergence
 from mecp_env.slam.filters.mounting import mount, robot_belief, robot_joint
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
@@ -22,7 +22,7 @@ from mecp_env.slam.localisation.pose_guard import PoseGuard
 from mecp_env.slam.map_file import MapStart, SlamMap, begin
 from mecp_env.slam.messages import ScanFeatures
 from mecp_env.slam.panorama.recent_scans import RecentScans
-from mecp_env.slam.rooms.limits import RoomLimits
+from mecp_env.slam.rooms.doors import RoomLimits
 from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association import ignored
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
 from mecp_env.slam.filters.mounting import predict_mounted, robot_belief

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 from typing import ClassVar, Protocol, Self
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import MecpError
-from mecp_env.core.messages import Odometry
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.messages import Belief, Corners, MapView, Match, Polygon
 
 

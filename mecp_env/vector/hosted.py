@@ -1,13 +1,19 @@
-"""Environments in this and in worker processes: how they are started, asked for anything but steps, and closed."""
+"""Environments in this and in worker processes: how they are started, asked for anything but steps, and closed.
+
+Environments under way in the asynchronous interface: which they are, and what has come back of them.
+
+One exploration, by which compiled functions are loaded before workers are forked.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import copy
+import functools
 import itertools
 import multiprocessing
 import weakref
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import gymnasium
@@ -17,14 +23,86 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mecp_env.core.cores import cores
-from mecp_env.core.processes import WorkerDied, start_method
+from mecp_env.core.processes import Failure, WorkerDied, cores, start_method
 from mecp_env.core.worker_pool import WorkerPool
-from mecp_env.vector import exploration
+from mecp_env.env import MecpEnv
+from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.vector.checks import check_workers
-from mecp_env.vector.flights import Flights
 from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
-from mecp_env.vector.worker import Makers, WorkerEnvironments
+from mecp_env.vector.worker import Info, Makers, WorkerEnvironments
+from mecp_env.wrappers import GoalActions
+
+
+class Flights:
+    """Sends single environments to their workers, and collects results in the order in which they are finished."""
+
+    def __init__(self, pool: WorkerPool, slices: Sequence[range]) -> None:
+        self._pool = pool
+        self._worker = {env: number for number, own in enumerate(slices) for env in own}
+        self._flying = set[int]()
+        self._landed: dict[int, Info | Failure] = {}
+
+    def __len__(self) -> int:
+        """How many environments were sent and not yet taken."""
+        return len(self._flying) + len(self._landed)
+
+    def check_free(self, envs: Iterable[int], what: str) -> None:
+        """Raise `AlreadyPendingCallError` for environments that are under way."""
+        busy = sorted((self._flying | self._landed.keys()).intersection(envs)) if len(self) else []
+        if busy:
+            raise AlreadyPendingCallError(f"{what} while environments {busy} are under way: recv() them first", "send")
+
+    def send(self, name: str, items: Mapping[int, tuple[Any, ...]]) -> None:
+        """Let the workers do `name`, "step" or "reset", with the arguments of each environment. Raises `WorkerDied`."""
+        parts: dict[int, list[tuple[int, tuple[Any, ...]]]] = {}
+        for env, arguments in items.items():
+            parts.setdefault(self._worker[env], []).append((env, arguments))
+        self._flying.update(items)
+        for worker, part in parts.items():
+            self._pool.post(worker, "run", name, part)
+
+    def take(self, count: int) -> dict[int, Info | Failure]:
+        """The `count` environments that were finished first, by number; or one of them alone that failed.
+
+        Raises `WorkerDied`.
+        """
+        while len(self._landed) < count:
+            self._wait()
+        return self._pop(sorted(list(self._landed)[:count]))
+
+    def _pop(self, envs: Sequence[int]) -> dict[int, Info | Failure]:
+        failed = [env for env in envs if isinstance(self._landed[env], Failure)]
+        return {env: self._landed.pop(env) for env in failed[:1] or envs}
+
+    def _wait(self) -> None:
+        for answer in self._pool.arrived():
+            self._land(answer)
+
+    def _land(self, answer: dict[int, Info | Failure] | Failure) -> None:
+        if isinstance(answer, Failure):  # an answer that could not be sent: nothing is known of its environments
+            answer.error.add_note(answer.note)
+            raise answer.error
+        self._flying -= answer.keys()
+        self._landed |= answer
+
+
+def explore(layout: str) -> None:
+    """One exploration, and its scores."""
+    env, policy = MecpEnv(layout=layout), BreadthFirst()
+    goals = GoalActions(env)
+    observation, _ = goals.reset(seed=0)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, _ = goals.step(policy.act(observation, goals.action_masks()))
+        over = terminated or truncated
+    env.summary()
+
+
+@functools.cache
+def load() -> None:
+    """Have the functions of an episode loaded, once per process: those that are forked later share their memory."""
+    explore("two_rooms")
+
 
 STEPS, DRIVES = 1, 2  # workers a core: steps take equally long; drives do not, and the system evens them out
 RESERVED = ("reset", "step", "close")  # not for `call`
@@ -182,7 +260,7 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 def share_functions(method: str) -> None:
     """Have compiled functions loaded where workers are forked: each would otherwise have a copy of its own."""
     if method == "fork":
-        exploration.load()
+        load()
     elif method == "forkserver":
         multiprocessing.set_forkserver_preload(["__main__", "mecp_env.vector.preload"])
 

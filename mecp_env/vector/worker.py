@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium
 from gymnasium.vector import AutoresetMode
 
-from mecp_env.core import heap
+from mecp_env.core import processes
 from mecp_env.core.processes import Failure
 from mecp_env.vector.shared_buffers import (
     ALONE,
@@ -135,7 +135,7 @@ class WorkerEnvironments:
         """The first observation of a new episode, beside the result of a step."""
         self._started[place] = True
         observation, info = self._envs[place].reset(seed=seed, options=options)
-        heap.trim()  # buildings differ in size; what freed blocks leave behind grows from episode to episode
+        processes.trim()  # buildings differ in size; what freed blocks leave behind grows from episode to episode
         self._over[place] = False
         return self._show(place, observation, info, result)
 

@@ -9,8 +9,7 @@ from __future__ import annotations
 import numpy as np
 import pymunk
 
-from mecp_env.core.array_types import Array
-from mecp_env.world.boxes import slide_boxes
+from mecp_env.core.carriers import Array
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import (
     AIM_TURN,
@@ -22,6 +21,7 @@ from mecp_env.world.drive import (
     furthest,
     may_touch,
 )
+from mecp_env.world.faces import slide_boxes
 from mecp_env.world.pedestrians import MOVES, RADIUS, VX, VY, X, Y
 
 ROBOT_KG = 9.0  # Pioneer P3-DX

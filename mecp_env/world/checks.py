@@ -11,7 +11,7 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, Point, Polygon
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.settings import MOST_TOLD, guess
 from mecp_env.world.outline import (

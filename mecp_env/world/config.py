@@ -1,19 +1,31 @@
-"""Configuration of the true world: robot, laser, odometry, pedestrians and clutter."""
+"""Configuration of the true world: robot, laser, odometry, pedestrians and clutter.
+
+Wheels that exist: fields of `OdometryConfig` by name (sources: docs/sensors.md).
+"""
 
 from __future__ import annotations
 
 import math
-from typing import Annotated, ClassVar, Literal, Self
+from typing import Annotated, Any, ClassVar, Literal, Self
 
 import numpy as np
 from pydantic import AfterValidator, Field, model_validator
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.laser_presets import LASERS
-from mecp_env.core.laser_view import LaserNoise
-from mecp_env.core.preset import PresetSettings
-from mecp_env.core.settings import Settings
-from mecp_env.world.presets import WHEELS
+from mecp_env.core.carriers import Array
+from mecp_env.core.sensors import LASERS, LaserNoise
+from mecp_env.core.settings import PresetSettings, Settings
+
+WHEELS: dict[str, dict[str, Any]] = {
+    "paper": {},  # IV: the defaults of the fields
+    "pioneer": {"distance_sigma_m": 0.0035, "turn_sigma_deg": 1.2, "turn_m": 0.26},  # differential drive
+    "turtlebot": {"distance_sigma_m": 0.007, "turn_sigma_deg": 0.5, "turn_m": 1.0},  # differential drive, gyroscope
+    "skid_steer": {  # four wheels that slide sideways in every turn
+        "distance_sigma_m": 0.02,
+        "turn_sigma_deg": 3.0,
+        "turn_m": 2.0,
+        "slip_share": 0.01,
+    },
+}
 
 
 def ordered(limits: tuple[float, float]) -> tuple[float, float]:

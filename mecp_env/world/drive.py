@@ -7,11 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.jit import compiled
-from mecp_env.world.boxes import leave_boxes
 from mecp_env.world.config import RobotConfig
-from mecp_env.world.faces import from_face
+from mecp_env.world.faces import from_face, leave_boxes
 from mecp_env.world.pedestrians import PACE, RADIUS, X, Y, walk
 
 TOUCH_M = 1e-3  # a body in contact stays this deep in the wall, or the next substep would not see the contact

@@ -10,10 +10,10 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.jit import compiled
-from mecp_env.core.messages import Scan
 from mecp_env.core.se2 import compose
+from mecp_env.core.sensors import Scan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.outline import Outline
 

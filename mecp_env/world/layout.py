@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.paths import exists, read_bytes
+from mecp_env.core.files import exists, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.world.checks import check_geometry
-from mecp_env.world.door_directions import with_directions
+from mecp_env.world.doors import with_directions
 from mecp_env.world.schema import Layout
 
 LIBRARY = Path(__file__).parent / "library"

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.world import pedestrians
 from mecp_env.world.config import ClutterConfig, CrowdConfig, RobotConfig
 from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.outline import Outline
-from mecp_env.world.walkways import WalkwayPlanner
+from mecp_env.world.pedestrians import WalkwayPlanner
 
 LEGS = 96  # stored points of a route; a pedestrian who reaches the last one before the destination plans again
 PLACES_PER_ROOM = 3

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Rows
+from mecp_env.core.carriers import Array, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.messages import Odometry
+from mecp_env.core.sensors import Odometry
 from mecp_env.world.config import READINGS, OdometryConfig
 from mecp_env.world.simulation import Motion
 

@@ -19,7 +19,7 @@ from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.schema import ROUND_FACES, BoxSpec, Layout, Obstacle, Pillar, Solid

@@ -15,8 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import Array, carrier
 from mecp_env.core.errors import ActionError, MecpError
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.bodies import Bodies

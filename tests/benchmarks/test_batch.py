@@ -17,7 +17,7 @@ from benchmarks.common import OptionError, Options, shared_data
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.filters.error_state import left_jacobian
+from mecp_env.slam.filters.models import left_jacobian
 from tests.slam import make
 
 LOG = (shared_data("logs") or Path("none")) / victoria_park.FILE

@@ -17,7 +17,7 @@ from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
 from tests.slam.drives import fed
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import karto
-from mecp_env.core.trajectories import between
+from mecp_env.core.se2 import between
 from mecp_env.evaluation.trajectory import trajectory_error
 from mecp_env.logs.log import Log
 from tests.slam.drives import scripted_drive

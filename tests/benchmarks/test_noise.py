@@ -11,7 +11,7 @@ from benchmarks import noise
 from benchmarks.common import Options
 from benchmarks.drives import Drive, record_drive, replay
 from benchmarks.variants import with_change
-from mecp_env.core.messages import Scan
+from mecp_env.core.sensors import Scan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout

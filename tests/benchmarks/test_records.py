@@ -18,7 +18,7 @@ from benchmarks.common import Options
 from benchmarks.drives import Drive, replay
 from benchmarks.record_file import HEADER, RecordError, load_header, load_record, save_record
 from benchmarks.records import Course, Records, read_drive
-from mecp_env.core.snapshot_file import FileKind, save_snapshot
+from mecp_env.core.snapshot import FileKind, save_snapshot
 
 SHORT = Course("two_rooms", 3, {"estimator": "truth", "max_steps": 12})
 

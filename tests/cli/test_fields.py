@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from mecp_env.cli.fields import with_reward_preset
+from mecp_env.cli.options import with_reward_preset
 
 WEIGHT = ["--env.reward.completion", "1"]
 

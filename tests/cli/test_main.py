@@ -18,8 +18,8 @@ from rich.console import Console
 import mecp_env
 from mecp_env.cli import main as cli
 from mecp_env.cli.demo import Demo
-from mecp_env.cli.exploration import Run
-from mecp_env.cli.fields import Fields, configuration
+from mecp_env.cli.explore import Run
+from mecp_env.cli.options import Fields, configuration
 from mecp_env.cli.progress import ExplorationBar, print_result, status
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig

@@ -14,7 +14,7 @@ from mecp_env.cli.buildings import expand
 from mecp_env.cli.play import KEYS, Game, later
 from mecp_env.env import MecpEnv
 from mecp_env.render import palette
-from mecp_env.render.keys import HEIGHT, key_strip
+from mecp_env.render.window import HEIGHT, key_strip
 from mecp_env.world.layout import load_layout
 
 Said = pytest.CaptureFixture[str]

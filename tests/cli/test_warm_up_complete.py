@@ -12,8 +12,8 @@ from pathlib import Path
 import numba
 import pytest
 
-from mecp_env.cli import exercise
 from mecp_env.cli import main as cli
+from mecp_env.cli import warmup
 from mecp_env.core import jit, warm_up
 from tests.command_lines import ROOT
 
@@ -52,7 +52,7 @@ SCRIPT = """
 import json, sys
 import numpy as np
 from mecp_env.cli import main as cli
-from mecp_env.cli.exercise import made_log
+from mecp_env.cli.warmup import made_log
 
 log = made_log()
 beams = {"t": log.t, "ranges": log.ranges, "angles": log.bearings, "max_range_m": log.max_range_m}
@@ -106,7 +106,7 @@ def test_a_drive_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, capsys: py
     monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: ("log",) if "log" in drives else ())
     assert cli.main(["warmup"]) == 1
     said = capsys.readouterr()
-    assert "mecp_env.cli.exercise log" in said.out + said.err
+    assert "mecp_env.cli.warmup log" in said.out + said.err
     assert "functions compiled" not in said.out
 
 
@@ -117,7 +117,7 @@ def test_warm_up_fails_where_nothing_can_be_kept(monkeypatch: pytest.MonkeyPatch
 
 
 def test_every_drive_of_a_warm_up_exists() -> None:
-    assert set(warm_up.FIRST + warm_up.LATER) == set(exercise.DRIVES)
+    assert set(warm_up.FIRST + warm_up.LATER) == set(warmup.DRIVES)
 
 
 def installed(module: str) -> bool:

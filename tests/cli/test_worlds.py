@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from mecp_env.cli import main as cli
-from mecp_env.cli import worlds_stats
+from mecp_env.cli import worlds_make
 from mecp_env.cli.buildings import Reading, expand
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.generator import GeneratorSpec, generate
@@ -165,8 +165,8 @@ def test_figures_are_told_as_a_table(capsys: Said) -> None:
 
 
 def test_a_median_between_two_counts_is_told_as_such(monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
-    figures = [dict.fromkeys(worlds_stats.COLUMNS, 1) | {"loops": n, "faces": 19999 + n} for n in (0, 1)]
-    monkeypatch.setattr(worlds_stats, "measure", lambda words, reading: {"easy": figures})
+    figures = [dict.fromkeys(worlds_make.COLUMNS, 1) | {"loops": n, "faces": 19999 + n} for n in (0, 1)]
+    monkeypatch.setattr(worlds_make, "measure", lambda words, reading: {"easy": figures})
     assert run("stats", "easy:0-1") == 0
     assert {"0.5", "0-1", "19999.5", "19999-20000"} <= set(capsys.readouterr().out.split())
 

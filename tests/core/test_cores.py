@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from mecp_env.core.cores import cores
+from mecp_env.core.processes import cores
 
 FOUR = {0, 1, 2, 3}
 

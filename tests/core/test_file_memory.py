@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from mecp_env.core import json_text
+from mecp_env.core import files
 from tests.core import file_bombs
 from tests.processes import needs_linux
 
@@ -48,17 +48,17 @@ def test_the_memory_of_values_is_not_underestimated(kind: str) -> None:
     """Python's own allocator says what the values take."""
     text = file_bombs.items(kind, 400_000)
     run = subprocess.run([sys.executable, "-c", TRACED], input=text.encode(), capture_output=True, check=True)
-    assert int(run.stdout) < json_text.memory_of(text.encode()) < 4 * int(run.stdout)
+    assert int(run.stdout) < files.memory_of(text.encode()) < 4 * int(run.stdout)
 
 
 def test_values_that_take_too_much_are_refused_before_they_are_made(tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text("[" + "[]," * 2_000_000 + "0]")
     with pytest.raises(ValueError, match="too much for its size"):
-        json_text.read_json(tmp_path / "a.json", 10**7)
+        files.read_json(tmp_path / "a.json", 10**7)
     with pytest.raises(ValueError, match="at most 10"):
-        json_text.read_json(tmp_path / "a.json", 10)
+        files.read_json(tmp_path / "a.json", 10)
     (tmp_path / "b.json").write_text("[" * 100_000)
     with pytest.raises(ValueError, match="nested"):
-        json_text.read_json(tmp_path / "b.json", 10**7)
+        files.read_json(tmp_path / "b.json", 10**7)
     (tmp_path / "c.json").write_text(json.dumps({"a": [1.5, "\u00e4", None]}))
-    assert json_text.read_json(tmp_path / "c.json", 100) == {"a": [1.5, "\u00e4", None]}
+    assert files.read_json(tmp_path / "c.json", 100) == {"a": [1.5, "\u00e4", None]}

@@ -12,12 +12,12 @@ from typing import NoReturn
 import pytest
 
 from benchmarks.process_use import memory_mb
-from mecp_env.core import heap
+from mecp_env.core import processes
 
 GLIBC = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in its own way")
 AGAIN = """
-import resource, numpy, mecp_env.core.heap
-mecp_env.core.heap.keep()
+import resource, numpy, mecp_env.core.processes
+mecp_env.core.processes.keep()
 def faults():
     before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
     arrays = [numpy.ones(size << 17) for size in (9, 17, 31)]  # MB
@@ -32,7 +32,7 @@ def test_freed_memory_between_blocks_in_use_is_returned() -> None:
     kept = blocks[::1_000]
     del blocks
     before = memory_mb(["self"])
-    heap.trim()
+    processes.trim()
     assert memory_mb(["self"]) < before - 20.0
     assert len(kept) == 20
 
@@ -48,6 +48,6 @@ def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> Non
         raise OSError("no such library")
 
     monkeypatch.setattr(ctypes, "CDLL", missing)
-    fresh = runpy.run_path(str(heap.__file__))  # which has not looked for the functions yet
+    fresh = runpy.run_path(str(processes.__file__))  # which has not looked for the functions yet
     fresh["trim"]()
     fresh["keep"]()

@@ -117,7 +117,7 @@ def add_one(value: float) -> float:
         (["-W", "ignore", "-m", "mecp_env"], True),
         (["/usr/bin/mecp-env"], True),
         (["mecp-env.exe"], True),
-        (["-m", "mecp_env.cli.exercise"], False),
+        (["-m", "mecp_env.cli.warmup"], False),
         (["train.py"], False),
         (["-c"], False),
         ([], False),

@@ -317,7 +317,7 @@ def test_a_foreign_function_is_the_same_before_and_after_the_import(tmp_path: Pa
     assert done.returncode == 0, done.stderr
 
 
-IN_PYTHON = "from mecp_env.vector.exploration import explore; explore('two_rooms')"
+IN_PYTHON = "from mecp_env.vector.hosted import explore; explore('two_rooms')"
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mecp_env.core.paths import DAY_S, machine, naming, remove_leftovers, write_atomic
+from mecp_env.core.files import DAY_S, machine, naming, remove_leftovers, write_atomic
 
 
 def test_a_killed_write_leaves_nothing_after_the_next_start(tmp_path: Path) -> None:

@@ -14,8 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core.snapshot import StateError, decode, encode
-from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
+from mecp_env.core.snapshot import FileKind, StateError, decode, encode, load_snapshot, save_snapshot
 from mecp_env.slam.messages import FEATURE
 from tests.env.helpers import drive, make, same
 
@@ -143,7 +142,7 @@ def test_whatever_is_wrong_gives_one_error_that_names_the_file(data: bytes, mess
 
 def test_a_file_that_unpacks_to_too_much_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_snapshot(path, KIND, encode(np.zeros(100_000)))
-    monkeypatch.setattr("mecp_env.core.snapshot_file.MOST_BYTES", 10_000)
+    monkeypatch.setattr("mecp_env.core.snapshot.MOST_BYTES", 10_000)
     with pytest.raises(StateError, match=r"kept\.zip: arrays.bin: it has \d+ bytes unpacked, at most 10000"):
         load_snapshot(path, KIND)
 

@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core import paths, work_units
+from mecp_env.core import files, work_units
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.processes import WorkerDied
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept, run_units
@@ -260,7 +260,7 @@ def test_a_full_disk_names_the_file_and_leaves_no_part_of_it(tmp_path: Path, mon
     def full(handle: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
-    monkeypatch.setattr(paths.os, "fsync", full)
+    monkeypatch.setattr(files.os, "fsync", full)
     with pytest.raises(OSError, match="No space left on device") as caught:
         list(run_kept(figures, {"seed 0": 0, "seed 1": 1}, kept, 1))
     assert Path(str(caught.value.filename)).name.startswith("seed_1-")

@@ -11,8 +11,17 @@ from scipy.special import erf
 
 from mecp_env.config import EnvConfig, RewardConfig
 from mecp_env.core.errors import ConfigError
-from mecp_env.episode.metric_rewards import NEAR_M, MetricMemory, coverage, metric_terms, nearness, start_metrics
-from mecp_env.episode.potentials import BLOCK_CELLS, RewardInputs, expected_correct_m2
+from mecp_env.episode.potentials import (
+    BLOCK_CELLS,
+    NEAR_M,
+    MetricMemory,
+    RewardInputs,
+    coverage,
+    expected_correct_m2,
+    metric_terms,
+    nearness,
+    start_metrics,
+)
 from mecp_env.slam.messages import Cell
 from tests.env.helpers import make
 from tests.env.make import reward_inputs

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from mecp_env.episode.observation_columns import COLUMNS, PREDICTED
+from mecp_env.episode.observation_arrays import COLUMNS, PREDICTED
 from mecp_env.episode.observations import make_space
 
 

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.snapshot import StateError
-from mecp_env.episode.state_shapes import SHAPES
+from mecp_env.episode.episode import SHAPES
 from tests.env.helpers import make
 
 PARTS = ("simulation", "moving", "episode")

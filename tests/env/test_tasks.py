@@ -10,7 +10,7 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
-from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
+from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
 from tests.env.helpers import episode_of
 
 HALLS = "mecp_env/ActiveHalls-v0"

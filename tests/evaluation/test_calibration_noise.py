@@ -7,11 +7,21 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.trajectories import between, composed
+from mecp_env.core.se2 import between, composed
 from mecp_env.evaluation.calibration.motions import Motions
-from mecp_env.evaluation.calibration.noise import ALONG, SIDE, TURN, noise_of, slip_as_turn, told, with_tails
-from mecp_env.evaluation.calibration.residuals import NOTHING, Residuals, residuals
-from mecp_env.evaluation.calibration.systematic import fitted
+from mecp_env.evaluation.calibration.residuals import (
+    ALONG,
+    NOTHING,
+    SIDE,
+    TURN,
+    Residuals,
+    fitted,
+    noise_of,
+    residuals,
+    slip_as_turn,
+    told,
+    with_tails,
+)
 from mecp_env.logs.odometry_model import measured
 
 N = 4000

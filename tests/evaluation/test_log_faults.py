@@ -7,8 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.evaluation.log_faults import fault_of
-from mecp_env.evaluation.log_run import LogRun, LogRunConfig, run_log
+from mecp_env.evaluation.log_run import LogRun, LogRunConfig, fault_of, run_log
 from mecp_env.logs import read_log
 from tests.logs.files import write_archive
 

@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.evaluation.lost import LOST_STEPS, LostWatch, is_lost
+from mecp_env.evaluation.metric_arrays import LOST_STEPS, LostWatch, is_lost
 
 RIGHT = np.zeros(60)
 

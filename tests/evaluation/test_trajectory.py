@@ -8,10 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.trajectories import between, chained, composed, interpolated
+from mecp_env.core.se2 import between, chained, compose, composed, interpolated, inverse
 from mecp_env.evaluation.trajectory import align, coincident, relation_error, relation_errors, trajectory_error
-from mecp_env.logs.motion import arcs, end_of, reading
+from mecp_env.logs.odometry_model import arcs, end_of, reading
 from mecp_env.world.config import OdometryConfig
 
 RNG = np.random.default_rng(4)

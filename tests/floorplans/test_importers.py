@@ -17,7 +17,7 @@ from mecp_env.core.errors import ConfigError, LayoutError, PlanWarning
 from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import save_map_server
 from mecp_env.floorplans.straighten import directions, straightened
-from mecp_env.world.closed_doors import close_doors
+from mecp_env.world.doors import close_doors
 from mecp_env.world.generator import GeneratorSpec, generate
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline

@@ -16,8 +16,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("stable_baselines3")
 
 from mecp_env.core.errors import ConfigError  # noqa: E402
-from mecp_env.policies.policy import Policy  # noqa: E402
-from mecp_env.policies.registry import make_policy, policy_checksum  # noqa: E402
+from mecp_env.policies.registry import Policy, make_policy, policy_checksum  # noqa: E402
 from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
 from mecp_env.policies.setting import Setting  # noqa: E402
 

@@ -21,8 +21,7 @@ from mecp_env.learning.files import WeightError, write_json  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.learning.run_folder import save_policy  # noqa: E402
-from mecp_env.policies.policy import KIND, PLACE, VALID, WAIT, choices  # noqa: E402
-from mecp_env.policies.registry import WEIGHTS, shipped  # noqa: E402
+from mecp_env.policies.registry import KIND, PLACE, VALID, WAIT, WEIGHTS, choices, shipped  # noqa: E402  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
 
@@ -202,7 +201,7 @@ def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_pat
         archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
     with pytest.raises(WeightError, match="cannot be loaded"):
         load(path, trust=True)
-    monkeypatch.setattr("mecp_env.learning.stock_models.MOST_UNPACKED", 1000)
+    monkeypatch.setattr("mecp_env.learning.models.MOST_UNPACKED", 1000)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", " " * 100_000)
     with pytest.raises(WeightError, match="unpacked"):

@@ -14,10 +14,10 @@ from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.learning.callbacks import OptionCallback  # noqa: E402
-from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint  # noqa: E402
 from mecp_env.learning.environments import make_many  # noqa: E402
+from mecp_env.learning.files import Checkpoints, read_checkpoint  # noqa: E402
 from mecp_env.learning.models import make_model  # noqa: E402
-from mecp_env.learning.option_buffer import bootstrap_truncated  # noqa: E402
+from mecp_env.learning.sb3_batch import bootstrap_truncated  # noqa: E402
 from tests.learning.training import QUICK, quick, resume, run  # noqa: E402
 
 

@@ -23,7 +23,7 @@ from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.learning.warm_start import check_teacher  # noqa: E402
 from mecp_env.policies.active import Active, Returning, Stachniss  # noqa: E402
-from mecp_env.policies.policy import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
+from mecp_env.policies.registry import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
 from mecp_env.policies.rollout import options_of  # noqa: E402
 from tests.learning.training import quick, resume, run  # noqa: E402
 

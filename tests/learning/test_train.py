@@ -19,13 +19,13 @@ from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 from mecp_env.config import REWARDS  # noqa: E402
 from mecp_env.episode.potentials import register_reward  # noqa: E402
 from mecp_env.learning import files, learned  # noqa: E402
-from mecp_env.learning.checkpoints import MOST_BYTES, Checkpoints, TrainingState, read_checkpoint  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
+from mecp_env.learning.files import MOST_BYTES, Checkpoints, TrainingState, read_checkpoint  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import check_size, make_model  # noqa: E402
-from mecp_env.learning.option_buffer import OptionBuffer  # noqa: E402
-from mecp_env.learning.run_log import RunLog  # noqa: E402
+from mecp_env.learning.run_folder import RunLog  # noqa: E402
+from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
 from mecp_env.learning.warm_start import warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402
 from tests.learning.training import QUICK, ROOT, quick, run, start, write_config  # noqa: E402

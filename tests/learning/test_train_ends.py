@@ -21,13 +21,12 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from mecp_env.core.cores import cores  # noqa: E402
+from mecp_env.core.processes import cores  # noqa: E402
 from mecp_env.core.work_units import FailedUnit  # noqa: E402
 from mecp_env.learning import train, warm_start  # noqa: E402
-from mecp_env.learning.checkpoints import Checkpoints, read_checkpoint, write_checkpoint  # noqa: E402
 from mecp_env.learning.environments import vectorise  # noqa: E402
-from mecp_env.learning.run_folder import RunFolder  # noqa: E402
-from mecp_env.learning.run_log import CsvTable  # noqa: E402
+from mecp_env.learning.files import Checkpoints, read_checkpoint, write_checkpoint  # noqa: E402
+from mecp_env.learning.run_folder import CsvTable, RunFolder  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.learning.test_learned import Payload  # noqa: E402
 from tests.learning.training import QUICK, ROOT, quick, resume, run  # noqa: E402

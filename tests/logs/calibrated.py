@@ -7,7 +7,7 @@ import math
 import numpy as np
 from shapely.geometry import LineString
 
-from mecp_env.core.trajectories import between, chained, composed
+from mecp_env.core.se2 import between, chained, composed
 from mecp_env.logs.log import Log
 from mecp_env.logs.odometry_model import OdometryModel, measured
 from mecp_env.world.config import LaserConfig

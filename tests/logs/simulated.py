@@ -6,8 +6,8 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.core.trajectories import chained
-from mecp_env.logs.motion import end_of
+from mecp_env.core.se2 import chained
+from mecp_env.logs.odometry_model import end_of
 from tests.slam.drives import scripted_drive
 
 

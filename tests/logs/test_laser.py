@@ -10,7 +10,7 @@ import pytest
 from mecp_env.evaluation.trajectory import trajectory_error
 from mecp_env.logs import ReadOptions, read_log
 from mecp_env.logs.laser_check import laser_fault
-from mecp_env.logs.no_return import no_return_of
+from mecp_env.logs.lasers import no_return_of
 from mecp_env.logs.registration import registered
 from tests.logs.files import write_archive
 from tests.logs.simulated import write_simulated

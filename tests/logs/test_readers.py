@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import LogError
-from mecp_env.core.trajectories import between
+from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
-from mecp_env.logs.motion import arcs, reading
+from mecp_env.logs.odometry_model import arcs, reading
 from mecp_env.world.config import OdometryConfig
 from tests.logs.files import BEAMS, BEARINGS, CARMEN, MOUNT, drive, flaser, write_archive, write_bag, write_carmen
 

@@ -24,8 +24,7 @@ from mecp_env.planning.controller import (
 )
 from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
-from mecp_env.planning.navigator import Navigator, Outcome, Target, plan_through
-from mecp_env.planning.paths import cost_to_go_field
+from mecp_env.planning.navigator import Navigator, Outcome, Target, cost_to_go_field, plan_through
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
 CONTROL, BODY = ControlConfig(), PathsConfig()

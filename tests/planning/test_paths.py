@@ -11,7 +11,7 @@ import pytest
 
 from mecp_env.core import grid_paths
 from mecp_env.planning.config import PathsConfig
-from mecp_env.planning.paths import CostToGoField, cost_to_go_field
+from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import Cell
 from tests.slam import make
 from tests.toy import Toy

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.policies.policy import KIND, PATH, VALID, X, Y
+from mecp_env.policies.registry import KIND, PATH, VALID, X, Y
 
 CELLS, CELL_M = 96, 0.2
 FREE, OCCUPIED, UNKNOWN = 0, 2, 3

@@ -19,7 +19,7 @@ from mecp_env.policies.active import (
     sigma_there,
 )
 from mecp_env.policies.gain import Gain
-from mecp_env.policies.policy import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, X, Y
+from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, X, Y
 from tests.policies.scenes import UNKNOWN, goal, observation, paint
 
 NEW, NEAR = goal(3.0, 0.0, 3.0), goal(0.0, 2.0, 2.0)

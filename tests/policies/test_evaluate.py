@@ -21,7 +21,7 @@ from PIL import Image
 
 from mecp_env.cli import main as cli
 from mecp_env.cli.evaluate import Evaluate
-from mecp_env.core import paths
+from mecp_env.core import files
 from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_units
 from mecp_env.policies.comparison import Row, compare, difference, rows_of
@@ -159,7 +159,7 @@ def test_a_killed_evaluation_continues_where_it_was(tmp_path: Path) -> None:
 def test_a_full_disk_is_one_line_and_the_same_command_continues(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    writes, write = [0], paths.os.fsync
+    writes, write = [0], files.os.fsync
 
     def full_at_last(handle: int) -> None:
         writes[0] += 1
@@ -168,7 +168,7 @@ def test_a_full_disk_is_one_line_and_the_same_command_continues(
         write(handle)
 
     with monkeypatch.context() as patch:
-        patch.setattr(paths.os, "fsync", full_at_last)
+        patch.setattr(files.os, "fsync", full_at_last)
         assert evaluate(tmp_path, "nearest", **QUICKLY) == 2
     said = capsys.readouterr().err.splitlines()[-1]
     assert re.fullmatch(r"mecp-env: .*/episodes/nearest_.*\.json: No space left on device", said)

@@ -7,8 +7,7 @@ import pytest
 
 from mecp_env.policies.explorers import Nearest, RandomGoal
 from mecp_env.policies.gain import Gain, Weights, unseen_area, well_known
-from mecp_env.policies.policy import VALID
-from mecp_env.policies.registry import EXPLORERS, make_policy
+from mecp_env.policies.registry import EXPLORERS, VALID, make_policy
 from tests.policies.scenes import OCCUPIED, UNKNOWN, goal, landmarks, observation, paint
 
 DOOR = 3

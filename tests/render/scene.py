@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mecp_env.core.se2 import to_robot
-from mecp_env.render.view import SceneView
+from mecp_env.render.shapes import SceneView
 from mecp_env.slam.messages import Cell, Corners, Decision, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make

@@ -12,8 +12,8 @@ from PIL import Image
 
 from mecp_env.render import shapes
 from mecp_env.render.figures import map_figure, save
+from mecp_env.render.shapes import summary
 from mecp_env.render.stages import stage_figures
-from mecp_env.render.view import summary
 from mecp_env.slam.messages import EdgeLabel
 from tests.render import scene
 from tests.slam import make

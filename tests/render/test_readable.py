@@ -16,13 +16,12 @@ from PIL import Image
 
 from benchmarks.common import estimate
 from benchmarks.plots import MOST_ACROSS, Panel, line_panels
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.brush import Brush
 from mecp_env.render.curves import curves_figure
-from mecp_env.render.figures import map_figure
-from mecp_env.render.legends import drawn
+from mecp_env.render.figures import drawn, map_figure
 from mecp_env.render.plan_figures import plans_figure
 from mecp_env.render.stages import DECISIONS, KINDS, stage_figures
 from mecp_env.slam.messages import EdgeLabel

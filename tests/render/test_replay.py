@@ -17,7 +17,8 @@ from benchmarks.browser import Browser, chromium
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.rollout import masks_of
-from mecp_env.render.replay import Recorder, ReplayError, changes, read_page, recorder, write_page
+from mecp_env.render.replay import Recorder, ReplayError, read_page, recorder, write_page
+from mecp_env.render.replay.page import changed_cells, changed_rows
 from mecp_env.wrappers import RecordReplay
 
 DRAWN = "Number(document.body?.dataset.drawn) > 0"
@@ -118,7 +119,7 @@ def test_what_hardly_changed_is_not_written_again() -> None:
         {1: [0, 0, 101, 0, 99], 2: [5, 6, 9, 0, 9]},
         {1: [0, 0, 60, 0, 60]},
     ]
-    assert list(changes.changed_rows(rows)) == [
+    assert list(changed_rows(rows)) == [
         [[1, 0, 0, 100, 0, 100], [2, 5, 5, 9, 0, 9]],
         [[2, 5, 6, 9, 0, 9]],
         [[2], [1, 0, 0, 60, 0, 60]],
@@ -127,7 +128,7 @@ def test_what_hardly_changed_is_not_written_again() -> None:
 
 def test_a_grid_that_grows_keeps_its_place() -> None:
     small, large = np.array([[1, 3]], np.uint8), np.array([[0, 0, 0], [0, 1, 3]], np.uint8)
-    place, size, runs = changes.changed_cells([(small, np.zeros(2)), (large, np.array([-0.1, -0.1]))], 0.1)
+    place, size, runs = changed_cells([(small, np.zeros(2)), (large, np.array([-0.1, -0.1]))], 0.1)
     np.testing.assert_allclose(place, [-0.1, -0.1])
     assert (size, runs) == ([3, 2], [[4, 1, 1, 5, 1, 3], []])
 

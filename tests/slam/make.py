@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.messages import Odometry, Scan
+from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association.cliques import Headings
 from mecp_env.slam.frontend.line_ends import EndBearing
 from mecp_env.slam.frontend.line_intersections import RolledScan
 from mecp_env.slam.grid.canvas import NOTHING
 from mecp_env.slam.grid.cells import Raster
-from mecp_env.slam.localisation.hypotheses import Hypothesis
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence
-from mecp_env.slam.localisation.relocalisation import Located
+from mecp_env.slam.localisation.relocalisation import Hypothesis, Located
 from mecp_env.slam.mecp.edge_labels import EdgeBeams
 from mecp_env.slam.messages import (
     FEATURE,

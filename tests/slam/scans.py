@@ -10,7 +10,7 @@ from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M, nominal_bearings

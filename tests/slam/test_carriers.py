@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.arrays import find_rows
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import carrier
 from mecp_env.core.linalg import downdate
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder

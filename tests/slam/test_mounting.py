@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import to_map
+from mecp_env.core.sensors import LaserView
 from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.grid.key_scans import free_and_walls

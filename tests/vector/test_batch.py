@@ -14,9 +14,8 @@ from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 from gymnasium.wrappers.vector import RecordEpisodeStatistics as VectorStatistics
 
 import mecp_env
-from mecp_env.core.cores import cores
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.processes import start_method
+from mecp_env.core.processes import cores, start_method
 from mecp_env.vector import BatchEnv
 from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same

@@ -13,8 +13,8 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
 from mecp_env.core.errors import ActionError
-from mecp_env.core.local_worker import LocalWorker
 from mecp_env.core.processes import WorkerError
+from mecp_env.core.worker_pool import LocalWorker
 from mecp_env.vector import BatchEnv, hosted
 from tests.processes import gone_within, needs_linux
 from tests.vector.helpers import LAYOUT, N, make_by, make_small

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.world.laser import _cast
 
 

@@ -12,22 +12,21 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import StateError
-from mecp_env.core.snapshot_shapes import check_shapes
-from mecp_env.episode.state_shapes import SHAPES
+from mecp_env.core.snapshot_check import check_shapes
+from mecp_env.episode.episode import SHAPES
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
 from mecp_env.world import bodies, drive
 from mecp_env.world import pedestrians as crowd
-from mecp_env.world.closed_doors import close_doors, draw_closed
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
+from mecp_env.world.doors import close_doors, draw_closed
 from mecp_env.world.drive import wall_distance
 from mecp_env.world.faces import moving_faces
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
 from mecp_env.world.moving_obstacles import Movers, Moving
 from mecp_env.world.outline import Outline, build_outline
-from mecp_env.world.pedestrians import clear_leg
+from mecp_env.world.pedestrians import WalkwayPlanner, clear_leg
 from mecp_env.world.simulation import Simulation
-from mecp_env.world.walkways import WalkwayPlanner
 from tests.world.conftest import OUTLINES
 from tests.world.rays import cast_rays
 

@@ -11,13 +11,12 @@ import pytest
 
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.laser_presets import LASERS
-from mecp_env.world.config import LaserConfig, OdometryConfig
+from mecp_env.core.sensors import LASERS
+from mecp_env.world.config import WHEELS, LaserConfig, OdometryConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import Outline, build_outline
-from mecp_env.world.presets import WHEELS
 from tests.env.helpers import IDS, NEEDED
 from tests.world.make import motion
 

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bytes, Ints
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import palette
-from mecp_env.render.replay.changes import Versions, changed_cells, changed_rows
-from mecp_env.render.view import SceneView, loops, signed_area
+from mecp_env.render.replay.page import Versions, changed_cells, changed_rows
+from mecp_env.render.shapes import SceneView, loops, signed_area
 from mecp_env.slam.messages import Cell, Corners, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 

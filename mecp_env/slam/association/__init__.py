@@ -3,17 +3,18 @@
 from collections.abc import Callable
 
 from mecp_env.core.registry import register
-from mecp_env.slam.association.ccda import CcdaAssociator
-from mecp_env.slam.association.jcbb import JcbbAssociator
-from mecp_env.slam.association.joint_descriptor import JointDescriptorAssociator
 from mecp_env.slam.association.match_builder import MatchBuilder, ignored
-from mecp_env.slam.association.mecp import MecpAssociator
-from mecp_env.slam.association.mecp_paper import MecpPaperAssociator
-from mecp_env.slam.association.nearest import NearestAssociator
-from mecp_env.slam.association.nearest_descriptor import NearestDescriptorAssociator
-from mecp_env.slam.association.nearest_room import NearestRoomAssociator
+from mecp_env.slam.association.mecp import JointDescriptorAssociator, MecpAssociator
 from mecp_env.slam.association.oracle import OracleAssociator
 from mecp_env.slam.association.posts import PostsApart
+from mecp_env.slam.association.rivals import (
+    CcdaAssociator,
+    JcbbAssociator,
+    MecpPaperAssociator,
+    NearestAssociator,
+    NearestDescriptorAssociator,
+    NearestRoomAssociator,
+)
 from mecp_env.slam.config import METHODS, AssociationConfig
 from mecp_env.slam.protocols import Associator
 

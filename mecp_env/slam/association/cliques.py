@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn, polar_to_points, wrap_angle
 from mecp_env.slam.association.gating import chi2_gate

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association.cliques import Headings, PairGraph, jointly_compatible
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.config import AssociationConfig

@@ -8,8 +8,7 @@ from functools import lru_cache
 import numpy as np
 from scipy.special import chdtri
 
-from mecp_env.core.array_types import Array, Bools, Ints, Rows
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import Array, Bools, Ints, Rows, carrier
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig

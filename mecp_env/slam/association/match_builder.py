@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints, Rows, row_type
+from mecp_env.core.carriers import Array, Ints, Rows, row_type
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import NO_ID, Decision, Match, Reason
 

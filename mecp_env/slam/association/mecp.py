@@ -1,4 +1,7 @@
-"""Association by Maximum Empty Convex Polygons, then by joint compatibility (III-B; our reading, the default)."""
+"""Association by Maximum Empty Convex Polygons, then by joint compatibility (III-B; our reading, the default).
+
+Greedy joint compatibility with the corner descriptor: `mecp` in one pass and without polygons.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +11,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints, Rows
+from mecp_env.core.carriers import Array, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.association.first_pass import FirstPass
 from mecp_env.slam.association.gating import FIXED, chi2_gate, pairing_table, possible_pairs
@@ -129,3 +132,17 @@ def accept(
         if not math.isnan(nis[p]):
             row.id, row.nis, row.decision = ids[p], nis[p], Decision.LANDMARK
             row.reason = Reason.POLYGON if cost[p] == FIXED else Reason.JOINT
+
+
+@dataclass(slots=True, eq=False)
+class JointDescriptorAssociator(MecpAssociator):
+    """Pairs are accepted one by one at the prediction, each given those before it (joint_compatibility.py).
+
+    Descriptors and rooms are switches.
+    """
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """One decision per corner."""
+        if not (len(view.belief.ids) and len(corners)):
+            return MatchBuilder(len(corners)).match()
+        return self._paired(corners, (), view, belief).match()

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mecp_env.core.array_types import Ints
+from mecp_env.core.carriers import Ints
 from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.config import AssociationConfig

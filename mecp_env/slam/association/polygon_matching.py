@@ -7,8 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints, Rows
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import Array, Ints, Rows, carrier
 from mecp_env.core.jit import compiled
 from mecp_env.slam.association.gating import chi2_gate
 from mecp_env.slam.config import AssociationConfig

@@ -1,20 +1,25 @@
-"""How well measurements fit landmarks: single, joint and iterated tests, and the mean of Gaussians of a polygon."""
+"""How well measurements fit landmarks: single, joint and iterated tests, and the mean of Gaussians of a polygon.
+
+The one place where a filter that diverges is noticed.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from types import TracebackType
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower, quadratic, solve_lower
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise
-from mecp_env.slam.filters.landmarks import take
-from mecp_env.slam.filters.measurement import innovation_cov, project, residual
-from mecp_env.slam.filters.update import gauss_newton
+from mecp_env.slam.filters.models import change_chart, innovation_cov, left_jacobian, linearise, project, residual
+from mecp_env.slam.filters.update import gauss_newton, take
+from mecp_env.slam.messages import Belief
+from mecp_env.slam.protocols import FilterError
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
 
@@ -183,3 +188,24 @@ def centre_nis(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, inva
         return math.nan
     y = solve_lower(S, nu)
     return float(y[0] * y[0] + y[1] * y[1])
+
+
+@dataclass(slots=True, eq=False)
+class Divergence:
+    """Whether the filter has diverged so far. As a context, it ends the block at a `FilterError` and notes it."""
+
+    limit_m: float  # a pose with a larger sigma in x or y is worth nothing any more
+    found: bool = False
+
+    def watch(self, belief: Belief) -> Belief:
+        """`belief` itself; the sigma of its position is compared with the limit."""
+        self.found |= not max(belief.pose_cov[0, 0], belief.pose_cov[1, 1]) < self.limit_m**2
+        return belief
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> bool:
+        failed = isinstance(error, FilterError)
+        self.found |= failed
+        return failed

@@ -8,15 +8,13 @@ from typing import Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.linalg import mirror_lower
-from mecp_env.core.messages import Odometry
 from mecp_env.core.se2 import compose
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters.error_state import change_chart, propagate_invariant, propagate_plain
-from mecp_env.slam.filters.landmarks import append
-from mecp_env.slam.filters.motion import predict
-from mecp_env.slam.filters.update import batch_update, merge_pair
+from mecp_env.slam.filters.models import change_chart, predict, propagate_invariant, propagate_plain
+from mecp_env.slam.filters.update import append, batch_update, merge_pair
 from mecp_env.slam.filters.window import Window, WindowFilter, as_floats, belief_of, observations, slots_of
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import FilterError, FullFilterWarning

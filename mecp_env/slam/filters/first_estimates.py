@@ -13,17 +13,23 @@ from typing import Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.linalg import factor_lower, forward_rows, mirror_lower, solve_lower
-from mecp_env.core.messages import Odometry
-from mecp_env.core.trajectories import wrapped
+from mecp_env.core.se2 import wrapped
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.compatibility import FAR, centre_nis
 from mecp_env.slam.filters.core import Ekf
-from mecp_env.slam.filters.error_state import change_chart, linearise, propagate_plain, retract
-from mecp_env.slam.filters.landmarks import take
-from mecp_env.slam.filters.measurement import innovation_cov, project, residual
-from mecp_env.slam.filters.update import CONVERGED, apply_update, state_increment
+from mecp_env.slam.filters.models import (
+    change_chart,
+    innovation_cov,
+    linearise,
+    project,
+    propagate_plain,
+    residual,
+    retract,
+)
+from mecp_env.slam.filters.update import CONVERGED, apply_update, state_increment, take
 from mecp_env.slam.filters.window import as_floats, finite, observations
 from mecp_env.slam.protocols import FilterError
 

@@ -11,10 +11,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.laser_view import LaserView
-from mecp_env.core.messages import Odometry
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import compose, inverse
+from mecp_env.core.sensors import LaserView, Odometry
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.protocols import Filter
 

@@ -7,8 +7,8 @@ from typing import Any, Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.messages import Odometry
+from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.protocols import Filter
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import block_of, factor_lower, forward_rows, product
 from mecp_env.slam.messages import Belief

@@ -11,14 +11,13 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
 from mecp_env.core.arrays import find_rows
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.linalg import block_of
-from mecp_env.core.messages import Odometry
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.filters.compatibility import centre_nis, joint_cost, log_bayes_factor, pairwise_nis
-from mecp_env.slam.filters.error_state import change_chart
-from mecp_env.slam.filters.landmarks import take, world_belief
-from mecp_env.slam.filters.measurement import innovation
+from mecp_env.slam.filters.models import change_chart, innovation
+from mecp_env.slam.filters.update import take, world_belief
 from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import FilterError
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.messages import Scan
+from mecp_env.core.sensors import Scan
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.frontend.clustering import (
     beams_on_walls,
@@ -14,8 +14,7 @@ from mecp_env.slam.frontend.clustering import (
     wall_beams,
 )
 from mecp_env.slam.frontend.corners import Found, as_corners, extract_corners, find_corners
-from mecp_env.slam.frontend.dense_scan import average_sweeps, merge_sweeps
-from mecp_env.slam.frontend.lost_beams import restore_lost_beams, stop_at_walls
+from mecp_env.slam.frontend.scan import average_sweeps, merge_sweeps, restore_lost_beams, stop_at_walls
 from mecp_env.slam.frontend.segments import extract_segments, find_segments
 from mecp_env.slam.messages import MergedScan, ScanFeatures, Segments
 

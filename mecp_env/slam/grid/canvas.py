@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints
+from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.grid import cells
 from mecp_env.slam.grid.pockets import apart_from, find_pockets

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.messages import MergedScan, Segments

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Bools, Bytes, Ints
+from mecp_env.core.carriers import Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.grid.cells import DOOR_CELL, UNKNOWN_CELL
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Bytes, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import DynamicObjectsConfig, SensorModel
 from mecp_env.slam.messages import (

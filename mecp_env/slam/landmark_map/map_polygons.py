@@ -10,7 +10,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import inside_polygon
 from mecp_env.slam.messages import (

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn, polar_to_points, to_map
 from mecp_env.slam.config import SlamConfig, TrackConfig

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-from mecp_env.core.array_types import Array, Bools, Bytes
+from mecp_env.core.carriers import Array, Bools, Bytes
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import Cell, MergedScan, SemanticGrid
 

@@ -11,13 +11,12 @@ from functools import partial
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.messages import Odometry
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import LocalisationConfig
-from mecp_env.slam.localisation.hypotheses import NOWHERE, Hypothesis, clear_winner
 from mecp_env.slam.localisation.map_agreement import Agreement, Evidence, agreement
-from mecp_env.slam.localisation.relocalisation import LandmarkIndex, Located
+from mecp_env.slam.localisation.relocalisation import NOWHERE, Hypothesis, LandmarkIndex, Located, clear_winner
 from mecp_env.slam.messages import NO_ID, Belief, Corners, MapView, Match, MergedScan, Polygon, Reason, SemanticGrid
 from mecp_env.slam.protocols import Filter
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mecp_env.core.array_types import Bools
+from mecp_env.core.carriers import Bools
 from mecp_env.core.registry import register
 from mecp_env.slam.config import STRUCTURE_NAMES, PolygonConfig
 from mecp_env.slam.mecp.dobkin import find_dobkin

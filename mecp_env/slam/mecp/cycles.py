@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 
 

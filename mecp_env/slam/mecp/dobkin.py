@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp.polygons import find_polygons

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import EdgeLabel
 

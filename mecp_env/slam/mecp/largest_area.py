@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.slam.mecp.cycles import Graph, cross, graph_of, quietest_gap, turns_left
 

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import solve3
 from mecp_env.core.se2 import to_map, wrap_angle

@@ -8,8 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Bools, Ints
-from mecp_env.core.carrier import carrier
+from mecp_env.core.carriers import Array, Bools, Ints, carrier
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import quadratic
 from mecp_env.core.se2 import polar_to_points, to_map
@@ -24,7 +23,7 @@ from mecp_env.slam.messages import (
     Reason,
     ScanFeatures,
 )
-from mecp_env.slam.panorama.surfaces import Surfaces
+from mecp_env.slam.panorama.registration import Surfaces
 
 
 @carrier

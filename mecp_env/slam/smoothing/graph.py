@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.sparse import block_diag, csr_array
 
-from mecp_env.core.array_types import Array, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import MecpError
-from mecp_env.core.trajectories import between, wrapped
+from mecp_env.core.se2 import between, wrapped
 
 
 class SmoothingError(MecpError):

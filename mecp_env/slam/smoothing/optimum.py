@@ -9,8 +9,8 @@ from scipy.sparse import csc_array, csr_array, diags_array, vstack
 from scipy.sparse.linalg import splu
 from scipy.special import chdtri
 
-from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.trajectories import wrapped
+from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.se2 import wrapped
 from mecp_env.slam.smoothing.graph import Links, PoseGraph, SmoothingError
 
 

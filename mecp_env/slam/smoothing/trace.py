@@ -6,10 +6,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from mecp_env.core.array_types import Array, Ints
-from mecp_env.core.messages import Odometry
-from mecp_env.core.se2 import inverse
-from mecp_env.core.trajectories import composed
+from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.se2 import composed, inverse
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.mounting import predict_mounted
 from mecp_env.slam.messages import NO_ID, Belief, SemanticGrid

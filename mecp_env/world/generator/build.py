@@ -9,14 +9,23 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.array_types import Array
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import shown
-from mecp_env.world.generator.doorplan import Opening, plan_doors
 from mecp_env.world.generator.furniture import Placed, edge_distances, furnish, inside
-from mecp_env.world.generator.partition import Point, Space, partition
+from mecp_env.world.generator.partition import (
+    Line,
+    Opening,
+    Point,
+    Space,
+    borders,
+    joined,
+    partition,
+    plan_doors,
+    shared_stretches,
+    wall_lines,
+)
 from mecp_env.world.generator.spec import GeneratorSpec, Rejected
-from mecp_env.world.generator.walls import Line, borders, joined, shared_stretches, wall_lines
 from mecp_env.world.schema import Layout
 
 ATTEMPTS = 100  # rejected buildings before a specification counts as impossible,

@@ -15,9 +15,8 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.core.array_types import Array, Bools
-from mecp_env.world.generator.doorplan import Opening
-from mecp_env.world.generator.partition import Point, Space
+from mecp_env.core.carriers import Array, Bools
+from mecp_env.world.generator.partition import Opening, Point, Space
 from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 
 CLEAR_M = 0.8  # between two pieces, and between a piece and a wall that is not behind it

@@ -1,10 +1,16 @@
-"""Divides a rectangle among rooms: recursive splits, corridors between them, notches for L, T and U."""
+"""Divides a rectangle among rooms: recursive splits, corridors between them, notches for L, T and U.
+
+The walls between the rooms of a plan, as few and as long as can be, and where two rooms share one.
+
+Doors: one for each edge of a spanning tree of the rooms, and one more for each loop.
+"""
 
 from __future__ import annotations
 
 import math
+from collections import defaultdict
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, pairwise, product
 from typing import NamedTuple
 
 import numpy as np
@@ -218,3 +224,162 @@ def _between(rng: np.random.Generator, low: float, high: float) -> float:
 def _snap(value: float) -> float:
     """The multiple of the grid next to a length."""
     return round(round(value / GRID_M) * GRID_M, 6)
+
+
+Line = list[Point]
+
+
+class Border(NamedTuple):
+    """One edge of a room that lies along an axis."""
+
+    vertical: bool
+    at: float  # x of a vertical edge, y of another one
+    low: float
+    high: float
+    room: int
+    side: int  # 1: the room lies at larger x (or y), -1: at smaller
+
+
+class Shared(NamedTuple):
+    """A straight stretch of wall with one room on either side."""
+
+    vertical: bool
+    at: float
+    low: float
+    high: float
+    rooms: tuple[int, int]  # at smaller x (or y), at larger
+
+
+def borders(spaces: list[Space]) -> dict[tuple[bool, float], list[Border]]:
+    """The axis-parallel edges of all rooms, by the line that they lie on."""
+    lines: dict[tuple[bool, float], list[Border]] = defaultdict(list)
+    edges = ((a, b, room) for room, space in enumerate(spaces) for a, b in pairwise([*space.ring, space.ring[0]]))
+    for edge in (_border(a, b, room) for a, b, room in edges if a[0] == b[0] or a[1] == b[1]):
+        lines[edge.vertical, edge.at].append(edge)
+    return dict(sorted(lines.items()))
+
+
+def _border(start: Point, end: Point, room: int) -> Border:
+    """An edge of a room, which lies on its left."""
+    vertical = start[0] == end[0]
+    along, across = (1, 0) if vertical else (0, 1)
+    forward = end[along] > start[along]
+    low, high = sorted((start[along], end[along]))
+    return Border(vertical, start[across], low, high, room, 1 if forward != vertical else -1)
+
+
+def wall_lines(lines: dict[tuple[bool, float], list[Border]]) -> list[Line]:
+    """The middle lines of the walls: edges on one line that touch are one wall."""
+    walls: list[Line] = []
+    for (vertical, at), edges in lines.items():
+        stretches = _united(sorted((edge.low, edge.high) for edge in edges))
+        walls += [[(at, low), (at, high)] if vertical else [(low, at), (high, at)] for low, high in stretches]
+    return walls
+
+
+def _united(intervals: list[tuple[float, float]]) -> list[tuple[float, float]]:
+    """Intervals in order, those that touch as one."""
+    united = intervals[:1]
+    for low, high in intervals[1:]:
+        if low <= united[-1][1]:
+            united[-1] = (united[-1][0], max(united[-1][1], high))
+        else:
+            united.append((low, high))
+    return united
+
+
+def shared_stretches(lines: dict[tuple[bool, float], list[Border]]) -> list[Shared]:
+    """Where an edge of one room lies against one of another."""
+    pairs = ((a, b) for edges in lines.values() for a, b in product(edges, edges) if a.side < 0 < b.side)
+    shared = (Shared(a.vertical, a.at, max(a.low, b.low), min(a.high, b.high), (a.room, b.room)) for a, b in pairs)
+    return [stretch for stretch in shared if stretch.low < stretch.high]
+
+
+def joined(walls: list[Line], slants: list[tuple[Point, Point]]) -> list[Line]:
+    """The walls with each slant (two points, where walls end) between the two that it joins, as one line of many."""
+    for start, end in slants:
+        before = next(wall for wall in walls if start in (wall[0], wall[-1]))
+        after = next(wall for wall in walls if end in (wall[0], wall[-1]))
+        walls = [wall for wall in walls if wall is not before and wall is not after]
+        before = before if before[-1] == start else before[::-1]
+        after = after if after[0] == end else after[::-1]
+        walls.append(before + after)
+    return walls
+
+
+ANY = 1000  # doors of a corridor
+POST_M = 0.35  # of straight wall beside a door, at least
+
+
+class Opening(NamedTuple):
+    """A door of the plan."""
+
+    centre: Point
+    width: float  # m
+    rooms: tuple[int, int]
+    heading: float  # rad, heading from the first room to the second
+
+
+def plan_doors(
+    spaces: list[Space], stretches: list[Shared], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
+) -> list[Opening]:
+    """rooms - 1 + loops doors that join all rooms, no two between the same rooms. Raises `Rejected`."""
+    widths = rng.uniform(*spec.door_width_m, spec.rooms - 1 + spec.loops)
+    places = _places(stretches, float(widths.max()) + 2.0 * POST_M + thickness)
+    pairs = _chosen(list(places), spaces, spec, rng)
+    return [_opening(places[pair], float(width), thickness, rng) for pair, width in zip(pairs, widths, strict=True)]
+
+
+def _places(stretches: list[Shared], least: float) -> dict[tuple[int, int], Shared]:
+    """The longest stretch of wall between each two rooms, where a door fits into it."""
+    places: dict[tuple[int, int], Shared] = {}
+    for stretch in stretches:
+        length, pair = stretch.high - stretch.low, (min(stretch.rooms), max(stretch.rooms))
+        if length >= least and (pair not in places or length > places[pair].high - places[pair].low):
+            places[pair] = stretch
+    return places
+
+
+def _chosen(
+    pairs: list[tuple[int, int]], spaces: list[Space], spec: GeneratorSpec, rng: np.random.Generator
+) -> list[tuple[int, int]]:
+    """Pairs of rooms with a door: first a tree in random order that prefers corridors, then the loops."""
+    corridor = np.array([space.corridor for space in spaces])
+    order = rng.random(len(pairs)) - 0.5 * corridor[np.array(pairs, np.int64).reshape(-1, 2)].sum(axis=1)
+    ranked = [pairs[i] for i in np.argsort(order, kind="stable").tolist()]
+    most = np.where(corridor, ANY, spec.max_doors).tolist()
+    tree = _tree(ranked, most)
+    loops = [pair for pair in ranked if pair not in tree and _take(pair, most)]
+    if len(tree) < spec.rooms - 1:
+        raise Rejected("rooms")
+    if len(loops) < spec.loops:
+        raise Rejected("loops", len(loops))
+    return tree + loops[: spec.loops]
+
+
+def _tree(ranked: list[tuple[int, int]], most: list[int]) -> list[tuple[int, int]]:
+    """The first pairs that join all rooms; `most` is what is left of the doors that each room may have, in place."""
+    group = list(range(len(most)))
+    tree = []
+    for a, b in ranked:
+        if group[a] != group[b] and _take((a, b), most):
+            tree.append((a, b))
+            group = [group[a] if g == group[b] else g for g in group]
+    return tree
+
+
+def _take(pair: tuple[int, int], most: list[int]) -> bool:
+    """Use up one door of either room, in place; False where one of them may have no more."""
+    a, b = pair
+    if min(most[a], most[b]) < 1:
+        return False
+    most[a], most[b] = most[a] - 1, most[b] - 1
+    return True
+
+
+def _opening(stretch: Shared, width: float, thickness: float, rng: np.random.Generator) -> Opening:
+    """A door anywhere in a part of wall that leaves a jamb on both sides."""
+    margin = width / 2.0 + POST_M + thickness / 2.0
+    along = float(rng.uniform(stretch.low + margin, stretch.high - margin))
+    centre = (stretch.at, along) if stretch.vertical else (along, stretch.at)
+    return Opening(centre, width, stretch.rooms, 0.0 if stretch.vertical else math.pi / 2.0)

@@ -22,7 +22,7 @@ from mecp_env.slam.association.cliques import (
     relations,
 )
 from mecp_env.slam.association.gating import chi2_gate
-from mecp_env.slam.association.jcbb import add_pair, branch_and_bound, predicted_measurements, sorted_choices
+from mecp_env.slam.association.rivals import add_pair, branch_and_bound, predicted_measurements, sorted_choices
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import (

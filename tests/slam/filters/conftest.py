@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core.messages import Odometry
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from tests.slam import make

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mecp_env.slam.filters.error_state import change_chart, left_jacobian, linearise, retract
-from mecp_env.slam.filters.motion import predict
+from mecp_env.slam.filters.models import change_chart, left_jacobian, linearise, predict, retract
 from tests.slam.filters.conftest import Pair, random_odometry
 from tests.slam.filters.twin import exp_map, expected, wrap
 

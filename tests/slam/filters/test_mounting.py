@@ -7,8 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.laser_view import LaserView
 from mecp_env.core.se2 import compose, inverse, to_robot, wrap_angle
+from mecp_env.core.sensors import LaserView
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.filters.mounting import mount, predict_mounted, robot_belief

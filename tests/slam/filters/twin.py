@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
 
-from mecp_env.core.messages import Odometry
+from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 
 Array = NDArray[np.float64]

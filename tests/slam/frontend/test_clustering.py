@@ -9,7 +9,7 @@ import pytest
 
 from mecp_env.slam.config import ClusteringConfig, SegmentConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.messages import ClusterKind
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M

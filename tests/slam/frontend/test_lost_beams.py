@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import SensorModel, SlamConfig
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
-from mecp_env.slam.frontend.lost_beams import longest_run, restore_lost_beams, stop_at_walls
+from mecp_env.slam.frontend.scan import longest_run, merge_sweeps, restore_lost_beams, stop_at_walls
 from tests.slam import make
 from tests.slam.make import nominal_bearings
 from tests.slam.scans import ROOM, cast, chain, front_end, ring, take_scan

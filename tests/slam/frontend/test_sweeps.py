@@ -7,7 +7,7 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.slam.frontend.dense_scan import merge_sweeps
+from mecp_env.slam.frontend.scan import merge_sweeps
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M
 from tests.slam.scans import LMS200, PAPER, ROOM, blank_scan, chain, take_scan

@@ -11,7 +11,7 @@ import pytest
 
 from mecp_env.core.se2 import compose, to_map
 from mecp_env.slam.config import GridConfig, SensorModel
-from mecp_env.slam.grid.door_sight import looks_through, split_outline
+from mecp_env.slam.grid.cells import looks_through, split_outline
 from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor, wall_strips
 from mecp_env.slam.grid.layers import without
 from mecp_env.slam.grid.painter import GridPainter

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from mecp_env.core.array_types import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.jit import compiled
 from mecp_env.slam.mecp.cycles import order_by_bearing, turns_left, visible_edges

@@ -12,7 +12,7 @@ from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.frontend.clustering import wall_beams
 from mecp_env.slam.mecp.cycles import best_cycles, order_by_bearing, quietest_gap, visible_edges
 from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut, from_normal, passing_intervals
-from mecp_env.slam.mecp.wall_crossing import best_free_cycles
+from mecp_env.slam.mecp.polygons import best_free_cycles
 from tests.slam import make
 from tests.slam.make import MIDDLES
 from tests.slam.mecp.reference import largest_empty_convex_polygons

@@ -18,7 +18,7 @@ from mecp_env.slam.mecp import STRUCTURES, find_structure, register_structure
 from mecp_env.slam.mecp.cycles import best_cycles, visible_edges
 from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut
 from mecp_env.slam.mecp.largest_area import largest_cycle
-from mecp_env.slam.mecp.wall_crossing import best_free_cycles
+from mecp_env.slam.mecp.polygons import best_free_cycles
 from mecp_env.slam.messages import Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make

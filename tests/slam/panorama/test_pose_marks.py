@@ -10,7 +10,7 @@ import pytest
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.panorama.pose_marks import marks_seen, poses_of_marks, poses_since, seen_from
+from mecp_env.slam.panorama.recent_scans import marks_seen, poses_of_marks, poses_since, seen_from
 from tests.slam import make
 
 MARKS = np.array([-2, -3])

@@ -12,8 +12,7 @@ from mecp_env.core.se2 import inverse, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.panorama import registration
-from mecp_env.slam.panorama.registration import RegistrationLimits, register
-from mecp_env.slam.panorama.surfaces import surfaces_of
+from mecp_env.slam.panorama.registration import RegistrationLimits, register, surfaces_of
 from tests.slam import make
 from tests.slam.scans import PAPER, front_end, ring, take_scan
 

@@ -12,7 +12,7 @@ from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
 from mecp_env.slam.panorama.recent_scans import is_in_room, rooms_like
-from mecp_env.slam.panorama.surfaces import surfaces_of
+from mecp_env.slam.panorama.registration import surfaces_of
 from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
 from tests.slam import make
 from tests.slam.panorama.test_pose_marks import SPREAD, numerical_jacobian

@@ -7,10 +7,8 @@ import pytest
 
 from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
-from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, record_doorways, rename_jambs
-from mecp_env.slam.rooms.limits import RoomLimits
-from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
-from mecp_env.slam.rooms.trail import Trail
+from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, record_doorways, rename_jambs
+from mecp_env.slam.rooms.room_graph import RoomGraphEstimator, Trail
 from tests.slam import make
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face

@@ -4,8 +4,8 @@ import numpy as np
 from shapely.geometry import LineString
 
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.rooms.limits import RoomLimits
-from mecp_env.slam.rooms.trail import Trail, last_crossing
+from mecp_env.slam.rooms.doors import RoomLimits
+from mecp_env.slam.rooms.room_graph import Trail, last_crossing
 
 CONFIG = RoomLimits.of(SlamConfig())
 MOST = CONFIG.trail_places

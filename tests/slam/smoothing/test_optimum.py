@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from mecp_env.core.array_types import Array
-from mecp_env.core.trajectories import wrapped
+from mecp_env.core.carriers import Array
+from mecp_env.core.se2 import wrapped
 from mecp_env.slam.smoothing import Links, PoseGraph, Sightings, SmoothingError, smooth
 from tests.slam.smoothing.make import drive, error_m
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.intervals import estimate
-from mecp_env.core.trajectories import between, composed
+from mecp_env.core.se2 import between, composed
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, run_log
 from mecp_env.logs import Log, read_log
 from mecp_env.slam import SlamMap, SlamPipeline

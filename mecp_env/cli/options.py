@@ -1,0 +1,193 @@
+"""Options that several commands share: fields of a configuration, `--save-map`, `--with`, `--rerun`.
+
+Fields of a configuration as options: only those that the command line names are set.
+
+The option `--save-map`: the map that the robot made, in a file.
+
+The option `--with`: modules of the user that register custom parts by name.
+
+The option `--rerun`: the run as a recording of the rerun viewer.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated, Any, Literal, Self
+
+import tyro
+from pydantic import model_validator
+
+from mecp_env.cli.base import Command, check_writable
+from mecp_env.cli.buildings import spare_sources
+from mecp_env.cli.exit_codes import echo, print_error
+from mecp_env.config import EnvConfig, Number, RewardConfig, merge
+from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.files import exists
+from mecp_env.core.settings import Settings
+from mecp_env.render.rerun_log import RerunLog, rerun_library
+from mecp_env.world.schema import Layout
+
+
+class Fields(EnvConfig):
+    """Any field of the configuration."""
+
+    layout: Annotated[str, tyro.conf.Suppress] = "paper"
+    actions: Annotated[Literal["velocity", "discrete", "goal"], tyro.conf.Suppress] = "velocity"
+
+    @model_validator(mode="after")
+    def _has_tables(self) -> Self:
+        given = self.observation.format
+        if given != "dict":
+            raise ValueError(f"observation.format: {given!r}, expected 'dict': the policies read its tables")
+        return self
+
+
+Fields.__name__ = "--config"  # errors then name the option
+
+
+class EnvironmentFields(Fields):
+    """Any field of the environment, where estimator and steps are options of their own."""
+
+    estimator: Annotated[Literal["slam", "known", "truth"], tyro.conf.Suppress] = "slam"
+    start: Literal["layout", "random"] | tuple[Number, Number, Number] = "random"
+    max_steps: Annotated[int, tyro.conf.Suppress] = 3000
+
+
+EnvironmentFields.__name__ = "--env"
+
+
+def named_options(line: Sequence[str]) -> set[str]:
+    """The options that a line names, each without what follows a dot: `{"env", "max_steps"}`."""
+    words = [word for word in line if word.startswith("--")]
+    return {word[2:].partition("=")[0].partition(".")[0].replace("-", "_") for word in words}
+
+
+def with_reward_preset(line: Sequence[str]) -> list[str]:
+    """The line with the preset that weights of the reward without one stand for, as in `RewardConfig`."""
+    added = list[str]()
+    for prefix in ("--env.reward.", "--config.reward."):
+        words = [word.removeprefix(prefix).partition("=")[0] for word in line if word.startswith(prefix)]
+        named = dict.fromkeys(word.replace("-", "_") for word in words)
+        preset = RewardConfig.completed(named).get("preset")
+        added += [f"{prefix}preset", preset] if preset else []
+    return [*line, *added]
+
+
+def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
+    """The configuration in which only those fields are set that the command line names, to a default or not."""
+    return EnvConfig.build(named_fields(fields, line, "--config."), layout=layout)
+
+
+def named_fields(fields: Settings, line: Sequence[str], prefix: str = "--") -> dict[str, Any]:
+    """Those of the fields that the command line names, as a tree; options that are no field are left out."""
+    given, chosen = fields.model_dump(mode="json"), dict[str, Any]()
+    for option in line:
+        path = option.removeprefix(prefix).partition("=")[0].replace("-", "_")
+        if option.startswith(prefix) and _name(given, path) in given:
+            chosen = merge(chosen, _at(given, path))
+    return chosen
+
+
+def _at(fields: Mapping[str, Any], path: str) -> dict[str, Any]:
+    """Of all fields the one at `path` (`laser.max_range_m`; a switch also as `slam.polygon.no_check_walls`)."""
+    name, rest = _name(fields, path), path.partition(".")[2]
+    return {name: _at(fields[name], rest) if rest else fields[name]}
+
+
+def _name(fields: Mapping[str, Any], path: str) -> str:
+    first = path.partition(".")[0]
+    return first if first in fields else first.removeprefix("no_")
+
+
+def check_map(path: Path | None, layout: str, estimator: str) -> None:
+    """Raise `ConfigError` where the map of a run cannot be written or would be of no use; None: no map is wanted.
+
+    A map of this version is replaced, any other file is not.
+    """
+    if path is None:
+        return
+    spare_sources([check_writable(path, "--save-map")], [layout])
+    if exists(path):
+        replaceable(path)
+    if estimator == "known":
+        raise ConfigError(f"--save-map: {path}: a map of the estimator 'known' localises with ground truth only")
+
+
+def replaceable(path: Path) -> None:
+    """Raise `ConfigError` unless a file is a map of this version."""
+    from mecp_env.slam.map_file import MapError, SlamMap  # compiled functions are loaded only where a map is read
+
+    try:
+        SlamMap.load(path)
+    except MapError as error:
+        raise ConfigError(f"--save-map: {error}; name another file") from None
+
+
+def save_map(owner: Any, path: Path | None) -> bool:
+    """Write the map of a `MecpEnv` or `SlamPipeline`, if it is wanted, and print where it is.
+
+    False where it cannot be written: the reason is printed, and the run keeps everything else.
+    """
+    if path is None:
+        return True
+    try:
+        owner.save_map(path)
+    except MecpError as error:
+        print_error(f"--save-map: {path} was not written: {error}")
+        return False
+    except OSError as error:
+        print_error(f"--save-map: {path} was not written: {error.strerror}")
+        return False
+    echo(f"map: {path}")
+    return True
+
+
+OPTION = "--with"
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithModules(Command):
+    """A command that knows what modules of the user register: associators, filters, rewards, policies, ..."""
+
+    # a module of yours that registers custom parts by name, such as my_parts for my_parts.py; may be given again
+    modules: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="with", metavar="MODULE")] = ()
+
+    @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with the preset of the reward that weights without one stand for."""
+        if not any(".reward." in word for word in line):
+            return list(line)
+        from mecp_env.cli.options import with_reward_preset
+
+        return with_reward_preset(line)
+
+    @classmethod
+    def own_modules(cls, line: Sequence[str]) -> list[str]:
+        after = [word for option, word in pairwise(line) if option == OPTION]
+        return [*after, *(word.partition("=")[2] for word in line if word.startswith(f"{OPTION}="))]
+
+
+SUFFIX = ".rrd"
+
+
+def rerun_log(path: Path | None, period_s: float = 0.4) -> RerunLog | None:
+    """The recording at `path`; None where none is wanted. Raises `ConfigError` where it cannot be written."""
+    if path is None:
+        return None
+    if path.suffix != SUFFIX:
+        raise ConfigError(f"--rerun: {path}: expected a file name that ends in {SUFFIX}")
+    try:
+        rerun_library()
+        return RerunLog(check_writable(path, "--rerun"), period_s)
+    except (ConfigError, OSError) as error:
+        raise ConfigError(f"{'' if '--rerun' in str(error) else '--rerun: '}{error}") from None
+
+
+def end_rerun(log: RerunLog | None, path: Path | None) -> None:
+    """End the file, and print where it is."""
+    if log is not None:
+        log.close()
+        echo(f"recording: {path} (rerun {path})")

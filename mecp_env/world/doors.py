@@ -1,0 +1,109 @@
+"""Doors of a building: which way each leads, and those that are closed for an episode.
+
+Which way a door leads, where the layout file leaves it to the wall.
+
+Doors closed for an episode: they become wall, and what lies behind them is not part of the building.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import shapely
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
+from shapely.geometry import Point, Polygon
+
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.world.config import ClutterConfig
+from mecp_env.world.outline import GAP_POST_M, Outline, build_outline, wall_lines
+from mecp_env.world.schema import DoorSpec, Layout, RoomSpec, Solid, Start
+
+
+def with_directions(layout: Layout) -> Layout:
+    """The same layout; a cut without `direction_deg` gets the one that is square to its wall and leads to its rooms."""
+    if all(door.direction_deg is not None for door in layout.doors):
+        return layout
+    lines, thickness = wall_lines(layout)
+    tree = shapely.STRtree(lines)
+
+    def directed(door: DoorSpec) -> DoorSpec:
+        if door.direction_deg is not None:
+            return door
+        nearest = int(tree.nearest(Point(door.centre)))
+        (x0, y0), (x1, y1) = lines[nearest].coords
+        square = math.degrees(math.atan2(x0 - x1, y1 - y0))
+        step = thickness[nearest] / 2.0 + 0.05
+        both = (round(square + turn, 9) for turn in (0.0, 180.0, -180.0))
+        degrees = [deg + 0.0 for deg in both if -180.0 < deg <= 180.0]
+        return door.model_copy(
+            update={"direction_deg": max(degrees, key=lambda deg: _leads(door, deg, step, layout.rooms))}
+        )
+
+    return layout.model_copy(update={"doors": tuple(map(directed, layout.doors))})
+
+
+def _leads(door: DoorSpec, direction_deg: float, step_m: float, rooms: tuple[RoomSpec, ...]) -> int:
+    """How many of a point in front of the door and one behind it lie in the rooms that they should."""
+    floors = {room.name: Polygon(room.polygon) for room in rooms if room.name in door.rooms}
+    ahead = step_m * np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
+    points = dict(zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True))
+    return sum(name in floors and floors[name].contains(Point(point)) for name, point in points.items())
+
+
+START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
+LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable
+
+
+def draw_closed(outline: Outline, start: Array, config: ClutterConfig, rng: np.random.Generator) -> Ints:
+    """Which doors are closed: each with the probability `config.closed_doors`, as long as enough rooms are left.
+
+    A door stays open if without it fewer than `config.reachable_share` of the rooms that could be reached from `start`
+    (2,) m were left. With a probability of 0, nothing is drawn from `rng`.
+    """
+    if config.closed_doors == 0.0:
+        return np.empty(0, np.int64)
+    doors = outline.doors
+    far = np.hypot(*(doors.centre - start[:2]).T) > START_M + 0.5 * doors.width
+    drawn = rng.random(len(doors))
+    wanted = np.flatnonzero((drawn < config.closed_doors) & far)
+    home = int(np.argmin(shapely.distance(np.array(outline.rooms), Point(start[:2]))))
+    is_open = np.ones(len(doors), np.bool_)
+    least = config.reachable_share * _rooms_left(outline, is_open, home)
+    for door in wanted[np.argsort(drawn[wanted])]:
+        is_open[door] = False
+        is_open[door] = _rooms_left(outline, is_open, home) < least
+    return np.flatnonzero(~is_open)
+
+
+def _rooms_left(outline: Outline, is_open: Bools, home: int) -> int:
+    """How many rooms can be reached from room `home` through the open doors."""
+    count, (one, other) = len(outline.rooms), outline.doors.rooms[is_open].T
+    graph = csr_array((np.ones(len(one)), (one, other)), shape=(count, count))
+    _, group = connected_components(graph, directed=False)
+    return int(np.sum(group == group[home]))
+
+
+def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
+    """The layout without those doors, and without the rooms that are then unreachable from `start` (2,) m."""
+    if not len(closed):
+        return layout
+    shut = set(closed.tolist())
+    doors = tuple(door for i, door in enumerate(layout.doors) if i not in shut)
+    starts = (Start(point=(float(start[0]), float(start[1]))),)
+    solids = (*layout.solids, *(_leaf(layout.doors[i]) for i in sorted(shut) if layout.doors[i].opening == "gap"))
+    rest = layout.model_copy(update={"doors": doors, "starts": starts, "solids": solids})
+    free = build_outline(rest).free_area
+    rooms = tuple(room for room in layout.rooms if Polygon(room.polygon).intersection(free).area > LEAST_M2)
+    names = {room.name for room in rooms}
+    return rest.model_copy(update={"rooms": rooms, "doors": tuple(d for d in doors if names.issuperset(d.rooms))})
+
+
+def _leaf(door: DoorSpec) -> Solid:
+    """The solid that fills a gap, with its ends in the adjacent walls."""
+    depth, heading = door.depth_m or 0.0, door.heading
+    through = 0.5 * depth * np.array([math.cos(heading), math.sin(heading)])
+    along = (0.5 * door.width_m + GAP_POST_M) * np.array([-math.sin(heading), math.cos(heading)])
+    ring = door.centre + np.stack([-through - along, through - along, through + along, along - through])
+    return Solid(outer=tuple((float(x), float(y)) for x, y in ring))
