@@ -133,9 +133,6 @@ def made_log() -> Log:
 
 DRIVES = {drive.__name__: drive for drive in (episode, log, tasks)}
 
-if __name__ == "__main__":
-    DRIVES[sys.argv[1]]()
-
 
 @dataclass(frozen=True)
 class WarmUp(Command):
@@ -166,3 +163,7 @@ class WarmUp(Command):
             return FAILED
         echo(f"functions compiled, in {place}")
         return 0
+
+
+if __name__ == "__main__":
+    DRIVES[sys.argv[1]]()
