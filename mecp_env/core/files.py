@@ -1,14 +1,12 @@
-"""Files: paths whose names may be impossible, files written whole or not at all, JSON and text of untrusted ones.
+"""Files: paths with impossible names (too long, or with a NUL byte), and files written whole or not at all.
 
-Paths that a user gave, whose names may be impossible (too long, or with a NUL byte); files written whole or not.
-
-JSON of files that a user received: what its values take in memory is known before they are made.
-
-Text from untrusted files (names of buildings, rooms and files), before it is shown to a user.
+JSON of files that a user received: what its values take in memory is known before they are made. Text from such files
+(names of buildings, rooms and files) is made harmless before it is shown.
 """
 
 from __future__ import annotations
 
+import codecs
 import json
 import os
 import platform
@@ -66,6 +64,7 @@ def naming(path: Path) -> Iterator[None]:
 
 
 TEMPORARY = re.compile(r"\..+?\.(?:([0-9a-f]{8})-)?(\d+)\.tmp")  # the name while a file is written: machine, process
+LETTERS_KEPT = 50  # of a long name; a letter takes up to 4 bytes, of 255 in the name of a file
 _looked_at: set[tuple[int, Path]] = set()  # this process and the folders whose leftovers it has removed
 
 
@@ -110,6 +109,11 @@ def is_running(pid: int) -> bool:
     return True
 
 
+def shortened(name: str) -> str:
+    """`name`, or where it is long its start and a checksum, so that there is room for more in the name of a file."""
+    return name if len(name) <= LETTERS_KEPT else f"{name[:LETTERS_KEPT]}-{zlib.crc32(name.encode()):08x}"
+
+
 def write_atomic(path: Path, data: bytes) -> None:
     """Write a file so that after a crash at any time the old or the new one exists, never a part.
 
@@ -122,7 +126,7 @@ def write_atomic(path: Path, data: bytes) -> None:
         return
     path.parent.mkdir(parents=True, exist_ok=True)
     remove_leftovers(path.parent)
-    temporary = path.with_name(f".{path.name}.{machine()}-{os.getpid()}.tmp")
+    temporary = path.with_name(f".{shortened(path.name)}.{machine()}-{os.getpid()}.tmp")
     try:
         with temporary.open("wb") as file:
             file.write(data)
@@ -160,13 +164,21 @@ def read_json(path: Path, most: int, hook: Callable[[Any], Any] | None = None) -
 
 
 def loads(data: bytes, most: float, hook: Callable[[Any], Any] | None = None) -> Any:
-    """The value of a JSON text in UTF-8. Raises `ValueError` where it is none, or takes more than `most` bytes."""
+    """The value of a JSON text (`text_of`). Raises `ValueError` where it is none, or takes more than `most` bytes."""
     if memory_of(data) > most:
         raise ValueError(f"its values take more than {most / 2**20:.0f} MiB, too much for its size")
     try:
-        return json.loads(data.decode(), object_pairs_hook=hook)
+        return json.loads(text_of(data), object_pairs_hook=hook)
     except RecursionError:
         raise ValueError("nested too deeply") from None
+
+
+def text_of(data: bytes) -> str:
+    """A text in UTF-8, with or without a byte order mark, or in UTF-16 with one, as editors and shells of Windows save.
+
+    Raises `ValueError`.
+    """
+    return data.decode("utf-16" if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)) else "utf-8-sig")
 
 
 def memory_of(data: bytes) -> int:

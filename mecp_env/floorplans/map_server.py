@@ -17,7 +17,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, Strict, model_validator
 
 from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
-from mecp_env.core.files import exists, read_bytes
+from mecp_env.core.files import exists, read_bytes, text_of
 from mecp_env.core.settings import shown
 from mecp_env.floorplans.foreign import of_yaml
 from mecp_env.floorplans.image import UNKNOWN_SHARE, grey, read_image, shares
@@ -145,7 +145,7 @@ def _sheet(path: Path) -> Sheet:
     """The checked fields of a yaml file."""
     data = read_bytes(path, MAX_YAML_BYTES)
     try:
-        fields = yaml.load(data.decode("utf-8"), OnceLoader)
+        fields = yaml.load(text_of(data), OnceLoader)
     except LayoutError:
         raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.files import exists, read_bytes
+from mecp_env.core.files import exists, read_bytes, text_of
 from mecp_env.core.settings import guess
 from mecp_env.world.checks import check_geometry
 from mecp_env.world.doors import with_directions
@@ -79,8 +79,8 @@ def _read(given: str | Path) -> bytes:
 def decode_json(data: bytes) -> dict[str, Any]:
     """The object of a JSON text. Raises LayoutError for other JSON and for keys given twice."""
     try:
-        document = json.loads(data.decode("utf-8"), object_pairs_hook=_unique)
-    except (ValueError, RecursionError) as error:  # neither UTF-8 nor JSON, or nested too deeply
+        document = json.loads(text_of(data), object_pairs_hook=_unique)
+    except (ValueError, RecursionError) as error:  # neither text nor JSON, or nested too deeply
         raise LayoutError(f"no JSON: {error}") from None
     if not isinstance(document, dict):
         raise LayoutError(f"expected an object, given {type(document).__name__}")

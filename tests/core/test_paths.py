@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from mecp_env.core.files import DAY_S, machine, naming, remove_leftovers, write_atomic
+from mecp_env.core.files import DAY_S, machine, naming, remove_leftovers, text_of, write_atomic
 
 
 def test_a_killed_write_leaves_nothing_after_the_next_start(tmp_path: Path) -> None:
@@ -41,3 +41,15 @@ def test_a_full_disk_names_the_file(tmp_path: Path) -> None:
     with pytest.raises(OSError, match=r"run\.gif") as caught, naming(tmp_path / "run.gif"):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert caught.value.filename == str(tmp_path / "run.gif")
+
+
+@pytest.mark.parametrize("name", ["n" * 250 + ".json", "ü" * 120 + ".json"])
+def test_a_name_as_long_as_the_system_allows_is_written(tmp_path: Path, name: str) -> None:
+    write_atomic(tmp_path / name, b"whole")
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
+def test_text_as_editors_and_shells_save_it(encoding: str) -> None:
+    mark = "\ufeff" if encoding == "utf-16-be" else ""
+    assert text_of((mark + '{"name": "Küche"}').encode(encoding)) == '{"name": "Küche"}'

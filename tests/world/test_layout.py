@@ -41,6 +41,8 @@ def test_json_both_ways(name: str, tmp_path: Path) -> None:
     assert load_layout(json.loads(json.dumps(layout.model_dump()))) == layout
     assert load_layout(layout.model_dump()) == layout
     assert pickle.loads(pickle.dumps(layout)) == layout
+    path.write_text(layout.to_json(), encoding="utf-16")  # as the shell of Windows redirects
+    assert load_layout(path) == layout
 
 
 def test_the_json_has_one_wall_a_line() -> None:
