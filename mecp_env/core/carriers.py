@@ -1,8 +1,6 @@
-"""What the stages pass to each other: names of array types, and the classes that carry arrays.
+"""What the stages pass to each other: names of array types, and the classes that carry arrays, forty in a control step.
 
-Names of array types. Shape, unit and frame are in the comment or docstring beside each array.
-
-What the stages pass to each other: forty carriers in every control step.
+Shape, unit and frame are in the comment or docstring beside each array.
 """
 
 from __future__ import annotations

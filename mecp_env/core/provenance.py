@@ -1,8 +1,6 @@
 """Where results come from: the commit, and what else they depend on beside the configuration.
 
-The version of the package.
-
-Modules of the user that register custom parts by name; other processes import them, too, before they work.
+Modules of the user that register custom parts by name are imported by other processes, too, before they work.
 """
 
 from __future__ import annotations

@@ -1,14 +1,8 @@
-"""What the sensors measure in one control step, and the laser that measures it: the input of the estimator.
+"""What the sensors measure in one control step, the input of the estimator; and the laser that measures it.
 
-Where a laser sits on the robot, what it sees, and how noisy it is: the same for the world and estimator.
-
-Lasers that exist: fields of `LaserConfig` and, in part, of `SensorModel` by name (sources: docs/sensors.md).
-
-A laser that sweeps while the robot drives gives one sweep per pose: `sweeps` is 1 but for the burst of the paper.
-
-What the sensors measure in one control step: the input of the estimator.
-
-Lengths are in metres, angles in radians counter-clockwise in (-pi, pi], float64.
+Lengths are in metres, angles in radians counter-clockwise in (-pi, pi], float64. A laser that sweeps while the robot
+drives gives one sweep per pose: `sweeps` is 1 but for the burst of the paper. Lasers that exist are fields of
+`LaserConfig` and, in part, of `SensorModel` by name (sources: docs/sensors.md).
 """
 
 from __future__ import annotations

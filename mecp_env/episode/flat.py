@@ -1,9 +1,4 @@
-"""The format "flat": the layout of its numbers, and the compiled function that writes them (docs/observations.md).
-
-The layout of the format "flat": the name of each number, and where it is squashed to 0.5 (docs/observations.md).
-
-The compiled function of the format "flat": from the estimate to one vector (docs/observations.md).
-"""
+"""The format "flat" (docs/observations.md): the name of each number, where it is squashed to 0.5, and how it is written."""
 
 from __future__ import annotations
 

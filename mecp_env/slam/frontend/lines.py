@@ -1,12 +1,9 @@
-"""Compiled functions of lines: a cluster cut into lines, and the line through beams with its covariance.
-
-Compiled functions for the maximum-likelihood line (alpha, rho) through averaged beams, with its covariance.
-
-Compiled functions that cut a cluster into lines: Ramer-Douglas-Peucker (III-A.1), then chi-square on the breaks.
+"""Compiled functions that cut a cluster into lines: Ramer-Douglas-Peucker (III-A.1), then chi-square on the breaks.
 
 `breaks` holds the position before the first line of a cluster and the last position of each line, in order. Prefix
 sums of moments and of the points' own covariance give the chi-square of any run of positions in constant time. What is
-known of each beam is in rows of an array, so that the compiler can take several beams at once.
+known of each beam is in rows of an array, so that the compiler can take several beams at once. A line (alpha, rho) is
+the maximum-likelihood line through averaged beams, with its covariance.
 """
 
 from __future__ import annotations

@@ -1,10 +1,6 @@
-"""The dense scan (III-A.1) and its beams.
-
-Compiled functions: the laser's noise, and the beams of a merged scan in order from a gap on.
+"""Dense scan (III-A.1): the interleaved sweeps of one burst become one beam per nominal bearing.
 
 Beams that a real laser loses on dark or glancing walls: nothing returns, and yet the floor behind is not free.
-
-Dense scan (III-A.1): the interleaved sweeps of one burst become one beam per nominal bearing.
 """
 
 from __future__ import annotations
