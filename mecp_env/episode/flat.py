@@ -1,4 +1,4 @@
-"""The format "flat" (docs/observations.md): the name of each number, where it is squashed to 0.5, and how it is written."""
+"""The format "flat" (docs/observations.md): each number's name, where it is squashed to 0.5, and how it is written."""
 
 from __future__ import annotations
 
