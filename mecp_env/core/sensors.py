@@ -31,6 +31,7 @@ class LaserView(Settings):
 
     @property
     def field_of_view_rad(self) -> float:
+        """The field of view, in radians."""
         return math.radians(self.field_of_view_deg)
 
     @property
@@ -62,6 +63,7 @@ class LaserNoise(LaserView):
 
     @property
     def bearing_sigma_rad(self) -> float:
+        """The standard deviation of a bearing, in radians."""
         return math.radians(self.bearing_sigma_deg)
 
 

@@ -17,7 +17,7 @@ from mecp_env.cli import warmup
 from mecp_env.core import jit, warm_up
 from tests.command_lines import ROOT
 
-SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32"
+SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32 --log.evaluate-buildings 1 --env.max-steps 60"
 ALONE = "--buildings.layout two_rooms --environments 1"  # in one process
 LINES = (  # as in the documents, shorter
     "doctor --seconds 1",

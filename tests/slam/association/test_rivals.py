@@ -28,6 +28,7 @@ from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     FeatureState,
+    Reason,
 )
 from tests.slam import make
 from tests.slam.drives import scripted_drive
@@ -348,6 +349,20 @@ def test_in_closed_loop_the_rivals_map_two_rooms(drive, method):
     assert right > 300
     if method != "nearest_room":  # confuses the two faces of a wall, as `nearest`
         assert wrong < 0.02 * right
+
+
+def test_the_rule_of_the_paper_recognises_polygons(drive):
+    recognised, right, wrong, identity = 0, 0, 0, {}
+    for _, output, true, _ in drive.run(SlamConfig(association=AssociationConfig(method="mecp_paper"))):
+        match = output.match
+        by_polygon = np.flatnonzero(match.reason == int(Reason.POLYGON))
+        assert (match.known >= 0) == (len(by_polygon) >= 3)
+        recognised += match.known >= 0
+        for i in by_polygon:
+            known = identity.setdefault(int(match.ids[i]), int(true[i]))
+            right, wrong = right + (known == true[i] >= 0), wrong + (known != true[i])
+    assert recognised > 20
+    assert wrong < 0.1 * right
 
 
 @pytest.mark.parametrize("method", RIVALS)
