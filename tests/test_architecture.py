@@ -13,9 +13,6 @@ MOST = {
     "import levels": 11,
     "files to change corner extraction": 3,
     "code lines of slam/pipeline.py": 136,
-    # six for the tasks of active SLAM (record 64), four for jcbb and ccda (record 69), five for large maps (record 73),
-    # two for the largest polygon (record 72), eight for submaps, goals and pockets in large maps (record 76), 16 for
-    # recent scans and two for the reward of the tasks (record 77), five for large maps (record 78)
     "compiled functions": 297,
     "compiled functions with more than 8 arguments": 0,
     "tunable numbers of the estimator": 84,

@@ -62,7 +62,7 @@ def test_a_part_of_a_log_gives_all_figures(maps: Path, name: str) -> None:
 
 @logs
 def test_a_doubt_on_a_log_ends_where_known_corners_are_seen() -> None:
-    """While only strong evidence ended one (record 75), the first corridor was not mapped: .39 m and 39 % localised."""
+    """While only strong evidence ended one, the first corridor was not mapped: .39 m and 39 % localised."""
     folder = shared_data("logs")
     assert folder is not None
     figures, _ = real_logs.map_log(folder, "intel_raw", 0, 250)

@@ -194,7 +194,7 @@ def test_two_walls_at_once_are_as_in_pymunk_once_its_solver_converges(name: str,
     """At a convex corner both normals are nearly parallel, and ten iterations leave an error of up to 2 mm per step.
 
     After N iterations the velocity is off by up to 0.43 / sqrt(N) of what the contacts take: 1e-5 m per step for 10,000
-    iterations and 0.1 m/s. See docs/decisions.
+    iterations and 0.1 m/s. See docs/decisions/0003-simulated-world.md.
     """
     default, converged = lockstep(OUTLINES[name], 10, seed), lockstep(OUTLINES[name], 10_000, seed)
     assert (converged[:, 4] > 1).sum() > 5
