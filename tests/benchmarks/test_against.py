@@ -34,7 +34,7 @@ def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
     asked = list[tuple[int, tuple[int, ...]]]()
     monkeypatch.setattr(against.peers, "measure", lambda *given: asked.append(given) or {})  # test_peers.py has them
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")  # the copy has no cache, and few steps
-    sizes = against.Sizes(block=10, episode=20, warm_up=30, total=40)
+    sizes = against.Sizes(block=5, episode=10, warm_up=5, total=20)
     figures = against.run(Options(against="HEAD", sweeps=(1,)), sizes)
     assert set(figures) == {"against", "K=1", "peers"}
     assert asked == [(4, (1,))]
