@@ -1,13 +1,16 @@
-"""A stock learner of Stable-Baselines3, from nothing to a learning curve, in one file.
+r"""A stock learner of Stable-Baselines3, from nothing to a learning curve, in one file.
 
     python agents/train_first.py
     mecp-env evaluate runs/first/seed-0/model.zip random_walk nearest --trust --difficulty easy --max-steps 500
 
 The first line trains PPO on `First-v0` for five minutes on two cores, and writes the model, `progress.csv` and
-`curve.png` to `runs/first/`. The curve in the README has `--seeds 0 1 2`. Other steps of the ladder (docs/ladder.md):
+`curve.png` to `runs/first/`. The published curves: that of the README, then those of docs/ladder.md.
 
-    python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000
-    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000
+    python agents/train_first.py --seeds 0 1 2
+    python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000 \
+      --seeds 0 1 2 --metric coverage_over_steps --out runs/medium
+    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 \
+      --evaluate-every 100000 --buildings 16 --metric correct_coverage_over_steps --out runs/halls
 """
 
 from __future__ import annotations

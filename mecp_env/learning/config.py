@@ -2,45 +2,84 @@
 
 from __future__ import annotations
 
-import json
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import count
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Self, get_args
+from typing import Annotated, Any, Literal, Self, get_args
 
 import tyro
-from pydantic import BeforeValidator, Field, field_validator, model_validator
+from pydantic import BeforeValidator, Field, create_model, field_validator, model_validator
+from tyro.constructors import PrimitiveConstructorSpec
 
 from mecp_env.config import EnvConfig, merge, refuse_unknown
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.files import read_json
 from mecp_env.core.settings import Settings, as_many, guess, shown
 from mecp_env.episode.tasks import task_fields
-from mecp_env.learning.building_fields import OPTION, Value, check_fields
+from mecp_env.world.generator.spec import GeneratorSpec
 
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 ALGORITHMS = get_args(Algorithm)
-MOST_CONFIG_BYTES = 1_000_000
-RENAMED = {  # field of an older run folder -> its name of today
-    f"{name}_periods": f"{name}_steps"
-    for name in ("max", "quiet", "goal", "dwell", "limit", "replan", "stuck", "window", "closure_gap")
-} | {
-    "closure_iterations": "update_iterations",
-    "transients": "dynamic_objects",
-    "most_sigma_m": "max_sigma_m",
-    "longest_m": "wall_m",
-    "refutations": "prune_scans",
-    "refute_range_m": "prune_range_m",
-    "fuse_m": "merge_m",
-    "signature_deg": "descriptor_deg",
-    "use_signature": "use_descriptor",
-    "bare_m": "uncovered_m",
-    "bare_cells": "uncovered_cells",
-}
+CONFIG, MOST_CONFIG_BYTES = "config.json", 1_000_000  # the name in a run folder
+SPEC = GeneratorSpec.model_fields
+WORDS = {*SPEC["shapes"].default, *SPEC["pieces"].default}  # possible values of the fields with words
+FIELDS: dict[str, Any] = {name: (field.annotation, field) for name, field in SPEC.items()}
+BuildingFields = create_model("BuildingFields", __base__=Settings, **FIELDS)
 DERIVED = {
     "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
     "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",
 }
+
+
+def read_line(words: Sequence[str]) -> dict[str, Any]:
+    """`rooms 12 door_width_m 0.7 0.9 shapes L T` of a command line as fields; a word that cannot be a value is a name.
+
+    Raises `ValueError` for a name without a value, and a value without a name.
+    """
+    fields: dict[str, list[float | str]] = {"": []}
+    name = ""
+    for word in words:
+        value = _as_value(word, expected=bool(name) and not fields[name])
+        if value is None:
+            name = word.replace("-", "_")
+            fields.setdefault(name, [])
+        else:
+            fields[name].append(value)
+    if fields.pop(""):
+        raise ValueError(f"{words[0]}: the name of a field comes first, as rooms 12")
+    if not all(fields.values()):
+        raise ValueError(f"{min(fields, key=lambda name: len(fields[name]))}: a value is missing, as rooms 12")
+    return {name: found[0] if len(found) == 1 else tuple(found) for name, found in fields.items()}
+
+
+def _as_value(word: str, expected: bool) -> float | str | None:
+    """A word of the line as a value; None for a name, which is any other word where no value is expected."""
+    if word in WORDS:
+        return word
+    try:
+        return float(word)
+    except ValueError:
+        return word if expected and word.replace("-", "_") not in SPEC else None
+
+
+def as_words(spec: Mapping[str, Any]) -> list[str]:
+    """The fields as on a command line."""
+    values = {name: value if isinstance(value, tuple | list) else (value,) for name, value in spec.items()}
+    return [word for name, found in values.items() for word in (name, *map(str, found))]
+
+
+OPTION: PrimitiveConstructorSpec[dict[str, Any]] = PrimitiveConstructorSpec(
+    nargs="*",
+    metavar="[FIELD VALUE ...]",
+    instance_from_str=read_line,
+    is_instance=lambda value: isinstance(value, dict),
+    str_from_instance=as_words,
+)
+
+
+class WeightError(ConfigError):
+    """A file of weights is damaged, too large, modified, or of another network."""
 
 
 class Environment(EnvConfig):
@@ -58,14 +97,15 @@ class BuildingsConfig(Settings):
     difficulty: Annotated[tuple[str, ...], Field(min_length=1), BeforeValidator(as_many)] = ("medium",)
     split: Literal["train", "validation", "test"] = "train"
     # fields of `GeneratorSpec` over the difficulty's own: rooms 12 door_width_m 0.7 0.9 shapes L T
-    spec: Annotated[dict[str, Value], OPTION] = Field({})
+    spec: Annotated[dict[str, Any], OPTION] = Field({})
     layout: str | None = None  # a shipped layout or a file, in place of generated buildings
 
-    @field_validator("spec", mode="before")
+    @field_validator("spec")
     @classmethod
-    def _fields_of_a_building(cls, spec: Any) -> Any:
-        """Refuse what is no field, and values of another kind; those out of their bounds the environment refuses."""
-        return check_fields(spec) if isinstance(spec, dict) else spec
+    def _fields_of_a_building(cls, spec: dict[str, Any]) -> dict[str, Any]:
+        """The values as `GeneratorSpec` has them; whether they fit each other depends on the difficulty."""
+        made = BuildingFields(**spec)
+        return {name: getattr(made, name) for name in spec}
 
     @model_validator(mode="after")
     def _one_kind(self) -> Self:
@@ -127,8 +167,6 @@ class LogConfig(Settings):
 
 class TrainConfig(Settings):
     """The complete configuration of a training run."""
-
-    GONE: ClassVar = frozenset({"threads", "groups", "overlap"})
 
     algorithm: Annotated[Algorithm, tyro.conf.Suppress] = "maskable_ppo"
     task: str = ""  # of active SLAM, as ActiveHalls-v0: its buildings, robot, observation and reward, if not overridden
@@ -247,28 +285,18 @@ def check_observation(config: TrainConfig) -> None:
 
 
 def read_config(path: Path) -> dict[str, Any]:
-    """The fields in a JSON file, by their names of today. Raises `ConfigError` for another kind of file."""
+    """The fields in a small JSON file. Raises `ConfigError` for another kind of file."""
     try:
-        if path.stat().st_size > MOST_CONFIG_BYTES:
-            raise ConfigError(f"{path}: more than {MOST_CONFIG_BYTES} bytes, no configuration")
-        fields = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=migrated)
+        fields = read_json(path, MOST_CONFIG_BYTES, once_each)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise ConfigError(f"{path}: not JSON: {error}") from None
     if not isinstance(fields, dict):
         raise ConfigError(f"{path}: expected an object of fields, found {type(fields).__name__}")
-    return TrainConfig.without_gone(fields)
-
-
-def migrated(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    """An object of a JSON file with the fields of older run folders renamed, or left out where they are gone.
-
-    Raises `ConfigError` as `once_each`.
-    """
-    return EnvConfig.without_gone({RENAMED.get(name, name): value for name, value in once_each(pairs).items()})
+    return fields
 
 
 def once_each(pairs: list[tuple[str, Any]]) -> dict[str, Any]:

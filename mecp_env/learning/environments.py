@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from functools import partial
+from itertools import cycle
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
@@ -30,6 +31,7 @@ KEPT = (
     *("coverage", "correct_coverage", "lost", "metres", "contacts", "landmarks"),
     *("pose_error_final_m", "pose_rmse_m", "nees_mean"),
 )
+MOST_WORKERS = 8  # of an evaluation
 LENGTHS = ("episode_periods", "episode_decisions")
 REWARDS = (*(f"reward_{term}" for term in TERMS), "reward_custom")  # the last: of all custom terms
 FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *REWARDS, "terminated")
@@ -121,21 +123,22 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class FixedBuildings(gym.Wrapper[Any, Any, Any, Any]):
-    """Cycles through some buildings of the split, one per reset; the number of each is its seed."""
+    """Cycles through some buildings of the split, one per reset; a reset with a seed starts with the first one.
 
-    def __init__(self, env: Env, buildings: Sequence[int]) -> None:
+    The number of a building is the seed of its episode.
+    """
+
+    def __init__(self, env: Env, buildings: Sequence[int], generated: bool) -> None:
         super().__init__(env)
-        self.buildings, self.next = list(buildings), 0
-
-    def rewind(self) -> None:
-        """Let the next building be the first one."""
-        self.next = 0
+        self.buildings, self.generated = buildings, generated
+        self.left = cycle(buildings)
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """The next building."""
-        building = self.buildings[self.next % len(self.buildings)]
-        self.next += 1
-        return self.env.reset(seed=building, options={"building": building})
+        if seed is not None:
+            self.left = cycle(self.buildings)
+        building = next(self.left)
+        return self.env.reset(seed=building, options={"building": building} if self.generated else None)
 
 
 def make_env(config: TrainConfig, index: int = 0, split: str | None = None) -> Env:
@@ -160,8 +163,7 @@ def make_env(config: TrainConfig, index: int = 0, split: str | None = None) -> E
 
 def make_validation_env(config: TrainConfig, index: int, buildings: Sequence[int]) -> Env:
     """Environment `index` of an evaluation on the validation split."""
-    env = make_env(config, index, "validation")
-    return env if config.buildings.layout is not None else FixedBuildings(env, buildings)
+    return FixedBuildings(make_env(config, index, "validation"), buildings, config.buildings.layout is None)
 
 
 class TimedVecEnv(VecEnvWrapper):
@@ -188,6 +190,18 @@ def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:
     venv = vectorise(makers, config.workers, computing=config.actions == "velocity")  # goals have processes anyway
     venv.seed(seed)
     return TimedVecEnv(venv)
+
+
+def make_validation(config: TrainConfig) -> VecEnv:
+    """The environments of an evaluation; `seed` rewinds them.
+
+    Environment i runs as many episodes as `evaluate_policy` expects of it, always in the same buildings.
+    """
+    buildings = config.log.evaluate_buildings
+    count = min(buildings, MOST_WORKERS, config.environments)
+    parts = [range(count - 1 - index, buildings, count) for index in range(count)]
+    makers = [partial(make_validation_env, config, index, part) for index, part in enumerate(parts)]
+    return vectorise(makers, config.workers)
 
 
 def vectorise(makers: Sequence[Callable[[], Env]], workers: str = "batch", computing: bool = False) -> VecEnv:

@@ -1,35 +1,63 @@
-"""Networks as TorchScript (.pt) or ONNX (.onnx), with a JSON file beside them that names observation and actions."""
+"""Models of other libraries: Stable-Baselines3 (.zip), TorchScript (.pt) and ONNX (.onnx), as policies.
+
+Loading a zip or TorchScript can run code, so the caller must trust it. A JSON file of the same name beside a model says
+how it is used (docs/submissions.md).
+"""
 
 from __future__ import annotations
 
 import importlib
 import json
+import pickle
+import zipfile
 from collections.abc import Callable
+from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import BeforeValidator, ValidationError
+from pydantic import BeforeValidator
 
 from mecp_env.config import ObservationConfig, as_section
 from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.settings import Settings, describe
-from mecp_env.learning.fits import Fit, choices_of, with_known_ground
-from mecp_env.learning.model_policy import ModelPolicy, batched
+from mecp_env.core.settings import Settings
+from mecp_env.learning.config import WeightError, read_config
+from mecp_env.learning.fits import Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
 
-MOST_BYTES, MOST_JSON_BYTES = 500_000_000, 100_000  # of a network, and of the file beside it
+MOST_BYTES, MOST_UNPACKED = 500_000_000, 1_000_000_000  # of a model file, and of the parts of a zip
+ALGORITHMS = {  # module of the policy or of the buffer that a zip names -> "module:class" of the algorithm
+    "sb3_contrib.common.maskable": "sb3_contrib:MaskablePPO",
+    "sb3_contrib.common.recurrent": "sb3_contrib:RecurrentPPO",
+    "sb3_contrib.qrdqn": "sb3_contrib:QRDQN",
+    "sb3_contrib.tqc": "sb3_contrib:TQC",
+    "stable_baselines3.dqn": "stable_baselines3:DQN",
+    "stable_baselines3.sac": "stable_baselines3:SAC",
+    "stable_baselines3.td3": "stable_baselines3:TD3",
+}
+ON_POLICY = {  # the first of these settings that a zip has
+    "clip_range": "stable_baselines3:PPO",
+    "cg_max_steps": "sb3_contrib:TRPO",
+    "vf_coef": "stable_baselines3:A2C",
+}
+ANY = "stable_baselines3:PPO"
+STATISTICS = ("{stem}_vecnormalize.pkl", "vecnormalize.pkl")  # of `VecNormalize`, beside the file
 Network = Callable[[Any], Any]  # from an observation, or its parts by name, each with a first axis of 1, to the output
 
 
-class ExportedConfig(Settings):
-    """The JSON file beside a network (docs/submissions.md)."""
+class StockConfig(Settings):
+    """The JSON file that may be beside a model file of Stable-Baselines3."""
+
+    deterministic: bool = True  # the most probable action, else a draw as in training
+
+
+class ExportedConfig(StockConfig):
+    """The JSON file beside a network."""
 
     observation: Annotated[ObservationConfig, BeforeValidator(lambda value: as_section("observation", value))] = (
         ObservationConfig()
     )
     actions: Literal["velocity", "discrete", "goal"]
-    deterministic: bool = True  # the largest of the outputs, else a draw from their softmax
     reward: dict[str, Any] | str = ""  # as in `EnvConfig`; "": that of the environment
 
     def fit(self) -> Fit:
@@ -37,6 +65,119 @@ class ExportedConfig(Settings):
         observation = self.observation.model_dump(include=self.observation.model_fields_set)
         settings = with_known_ground(observation)
         return Fit(self.actions, settings | ({"reward": self.reward} if self.reward else {}))
+
+
+Beside = TypeVar("Beside", bound=StockConfig)
+
+
+def read_beside(path: Path, kind: type[Beside]) -> Beside:
+    """The JSON file beside a model file. Raises `ConfigError`."""
+    beside = path.with_suffix(".json")
+    fields = read_config(beside)
+    try:
+        return kind(**fields)
+    except ConfigError as error:
+        raise ConfigError(f"{beside}: {error}") from None
+
+
+def check_file(path: Path) -> None:
+    """Raise `ConfigError` for a file that is not there, or too large."""
+    if not path.is_file():
+        raise ConfigError(f"policy: {path}: no such file")
+    if path.stat().st_size > MOST_BYTES:
+        raise ConfigError(f"policy: {path}: {path.stat().st_size} bytes, at most {MOST_BYTES}")
+
+
+class StockModel:
+    """Acts as an algorithm or policy of Stable-Baselines3 does; keeps the memory of recurrent networks.
+
+    `prepare` makes the batch of one that it was trained on from an observation.
+    """
+
+    def __init__(self, algorithm: Any, prepare: Callable[[Any], Any] = batched, deterministic: bool = True) -> None:
+        self.algorithm, self.prepare, self.deterministic = algorithm, prepare, deterministic
+        self.takes_masks = "action_masks" in signature(algorithm.predict).parameters
+        self.reset(0)
+
+    def reset(self, seed: int) -> None:
+        """Start an episode; all draws in it follow from `seed`."""
+        import torch
+
+        self.memory: Any = None
+        self.episode_start = np.ones(1, np.bool_)
+        if not self.deterministic:
+            torch.manual_seed(seed)
+
+    def predict(self, inputs: Any, mask: Bools | None) -> Any:
+        """An action of the algorithm; only MaskablePPO takes the mask."""
+        masks = {"action_masks": np.asarray(mask)[None]} if self.takes_masks and mask is not None else {}
+        actions, self.memory = self.algorithm.predict(
+            self.prepare(inputs), self.memory, self.episode_start, deterministic=self.deterministic, **masks
+        )
+        self.episode_start = np.zeros(1, np.bool_)
+        return actions[0]
+
+
+def load_zip(path: Path, trust: bool) -> ModelPolicy:
+    """The model in a file of Stable-Baselines3, with the statistics of `VecNormalize` beside it.
+
+    Raises `ConfigError` without `trust` or a file and for spaces that no environment has, `WeightError` for a file with
+    another content.
+    """
+    check_file(path)
+    if not trust:
+        raise ConfigError(
+            f"policy: {path}: loading a model file of Stable-Baselines3 can run arbitrary code; if you trust its "
+            "source, use --trust (load(path, trust=True))"
+        )
+    module, name = class_of(path).split(":")
+    try:
+        algorithm = getattr(importlib.import_module(module), name).load(path, device="cpu")
+    except Exception as error:  # the file's own code may raise anything
+        raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
+    seen = algorithm.observation_space
+    parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
+    found = fit(seen, algorithm.action_space, str(path))
+    config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
+    return ModelPolicy(StockModel(algorithm, preparation(path), config.deterministic), found, str(path), parts)
+
+
+def check_archive(archive: zipfile.ZipFile, most_bytes: int) -> None:
+    """Raise `ValueError` for an archive that unpacks to more bytes, or has a part with a wrong checksum."""
+    unpacked = sum(part.file_size for part in archive.infolist())
+    if unpacked > most_bytes:
+        raise ValueError(f"{unpacked} bytes unpacked, at most {most_bytes}")
+    if archive.testzip():
+        raise ValueError("wrong checksum")
+
+
+def class_of(path: Path) -> str:
+    """The algorithm of a model file as "module:class", from names in its text; no code is loaded for that."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            check_archive(archive, MOST_UNPACKED)
+            data = json.loads(archive.read("data"))
+        named = str(data["policy_class"]["__module__"]), str(data.get("rollout_buffer_class"))
+    except Exception as error:  # damaged bytes may raise anything
+        raise WeightError(f"{path}: not a model file of Stable-Baselines3: {error!r}") from None
+    by_module = (found for mark, found in ALGORITHMS.items() if any(mark in text for text in named))
+    by_setting = (found for setting, found in ON_POLICY.items() if setting in data)
+    return next(by_module, None) or next(by_setting, ANY)
+
+
+def preparation(path: Path) -> Callable[[Any], Any]:
+    """What makes a batch for a trusted model file, with the `VecNormalize` beside it if any. Raises `WeightError`."""
+    places = (path.with_name(name.format(stem=path.stem)) for name in STATISTICS)
+    place = next((place for place in places if place.is_file()), None)
+    if place is None:
+        return batched
+    try:
+        found = pickle.loads(place.read_bytes())  # noqa: S301 (the caller trusts the model)
+    except Exception as error:  # the file's own code may raise anything
+        raise WeightError(f"{place}: cannot be loaded: {error!r:.300}") from error
+    if not hasattr(found, "normalize_obs"):
+        raise WeightError(f"{place}: expected the statistics of VecNormalize, got {type(found).__name__}")
+    return lambda seen: found.normalize_obs(batched(seen))
 
 
 class ExportedModel:
@@ -104,32 +245,8 @@ def exported_policy(path: Path, network: Network) -> ModelPolicy:
         raise ConfigError(
             f'policy: {path}: {beside.name} is missing beside it, such as {{"observation": "flat", "actions": "goal"}}'
         )
-    try:
-        config = ExportedConfig.model_validate(read_fields(beside))
-    except ValidationError as error:
-        raise ConfigError(f"{beside}: {describe(error, 'fields', ExportedConfig)}") from None
+    config = read_beside(path, ExportedConfig)
     return ModelPolicy(ExportedModel(network, config, str(path)), config.fit(), str(path))
-
-
-def read_fields(path: Path) -> dict[str, Any]:
-    """The fields in a small JSON file. Raises `ConfigError` for another content."""
-    if path.stat().st_size > MOST_JSON_BYTES:
-        raise ConfigError(f"{path}: more than {MOST_JSON_BYTES} bytes, no description of a network")
-    try:
-        fields = json.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError) as error:
-        raise ConfigError(f"{path}: not JSON: {error}") from None
-    if not isinstance(fields, dict):
-        raise ConfigError(f"{path}: expected an object of fields, found {type(fields).__name__}")
-    return fields
-
-
-def check_file(path: Path) -> None:
-    """Raise `ConfigError` for a file that is not there, or too large."""
-    if not path.is_file():
-        raise ConfigError(f"policy: {path}: no such file")
-    if path.stat().st_size > MOST_BYTES:
-        raise ConfigError(f"policy: {path}: {path.stat().st_size} bytes, at most {MOST_BYTES}")
 
 
 def script_network(path: Path) -> Network:

@@ -1,10 +1,11 @@
-"""Which environment a model was trained in: its actions and its observation, from the spaces of the model."""
+"""Models of other libraries as policies: which environment a model was trained in, and what it is given there."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import Any, Protocol
 
 import gymnasium
 import numpy as np
@@ -12,11 +13,12 @@ from gymnasium import spaces
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import merge
+from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.actions import make_actions
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.learning.downsampled import COLUMNS, TRUST
+from mecp_env.learning.downsampled import COLUMNS, TRUST, goal_masks, without_known_ground
 from mecp_env.policies import active
 
 Space = spaces.Space[Any]
@@ -148,3 +150,77 @@ def with_known_ground(observation: dict[str, Any]) -> dict[str, Any]:
     """The fields of a policy with that observation: with `uncertainty` known ground is offered, too."""
     below = dict(active.SETTINGS) if observation.get("uncertainty") else {}
     return merge(below, {"observation": observation})
+
+
+class Model(Protocol):
+    """What `ModelPolicy` needs of a model."""
+
+    def reset(self, seed: int) -> None:
+        """Start an episode."""
+
+    def predict(self, inputs: Any, mask: Bools | None) -> Any:
+        """An action for an observation; `mask` (32,) excludes rows of goals, where there are goals."""
+
+
+class ModelPolicy:
+    """Gives a model what it was trained on, and its action to the environment."""
+
+    def __init__(self, model: Model, fit: Fit, name: str, parts: Mapping[str, tuple[int, ...]] | None = None) -> None:
+        self.model, self.fit, self.name, self.parts = model, fit, name, parts
+        self.actions: str = fit.actions
+        self.settings: Mapping[str, Any] = fit.settings
+        self.reset()
+
+    def reset(self, seed: int = 0) -> None:
+        """Start an episode."""
+        self.model.reset(seed)
+
+    def act(self, observation: Any, mask: Any = None) -> Any:
+        """A row of the goals or a discrete action, or velocities (2,) float32; `mask` (32,) excludes rows.
+
+        One that was trained on tables without goals on known ground never chooses one, unless there is no other. Raises
+        `ConfigError` for an observation without what it was trained on.
+        """
+        if self.actions == "velocity":
+            return np.clip(np.asarray(self.model.predict(self._inputs(observation), None), np.float32), -1.0, 1.0)
+        if self.actions == "discrete" or self.fit.format != "dict":
+            return int(self.model.predict(self._inputs(observation), mask))
+        seen = self._inputs(observation)
+        allowed = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)
+        mine = allowed & goal_masks(self._known(observation))
+        if not mine.any() and allowed.any():
+            return int(allowed.argmax())
+        return int(self.model.predict(seen, mine))
+
+    def check_space(self, space: Any) -> None:
+        """Raise `ConfigError` for the observation space of an environment without the parts of the model."""
+        if self.parts is not None:
+            self._inputs({part: np.zeros(box.shape, np.float32) for part, box in space.spaces.items()})
+
+    def _inputs(self, observation: Any) -> Any:
+        if self.fit.format == "dict":
+            seen = self._known(observation)
+            return seen if self.parts is None else fitting(seen, self.parts, self.name)
+        return np.moveaxis(observation, 0, -1) if self.fit.channels_last else observation
+
+    def _known(self, observation: dict[str, Any]) -> dict[str, Any]:
+        """The tables without what a task adds to those that the model was trained on."""
+        if not self.fit.uncertainty:
+            return without_known_ground(observation)
+        active.check_columns(observation, self.name)
+        return observation
+
+
+def batched(inputs: Any) -> Any:
+    """An observation, or each of its parts, with a first axis of length 1."""
+    if isinstance(inputs, dict):
+        return {name: np.asarray(values)[None] for name, values in inputs.items()}
+    return np.asarray(inputs)[None]
+
+
+def fitting(observation: dict[str, Any], theirs: Mapping[str, tuple[int, ...]], name: str) -> dict[str, Any]:
+    """The parts of an observation with those shapes. Raises `ConfigError` where they do not fit."""
+    here = {part: np.shape(values) for part, values in observation.items()}
+    if any(here.get(part) != shape for part, shape in theirs.items()):
+        raise ConfigError(f"policy: {name} was trained on {dict(theirs)}, the observation has {here}")
+    return {part: observation[part] for part in theirs}

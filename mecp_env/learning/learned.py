@@ -7,23 +7,20 @@ file of Stable-Baselines3 (a zip with a pickle) is code: it is refused unless th
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import torch
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.learning import files
-from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
+from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.downsampled import downsample
-from mecp_env.learning.exported import load_script
-from mecp_env.learning.files import WeightError
-from mecp_env.learning.model_policy import ModelPolicy, own_goals
-from mecp_env.learning.models import load_zip, make_network
-from mecp_env.learning.run_folder import CONFIG, POLICY
+from mecp_env.learning.exported import StockModel, load_script, load_zip
+from mecp_env.learning.files import POLICY
+from mecp_env.learning.fits import Fit, ModelPolicy, batched
+from mecp_env.learning.models import make_network
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 
@@ -31,44 +28,17 @@ FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 MOST_BYTES = files.MOST_POLICY_BYTES
 
 
-class PredictingPolicy:
+class LearnedPolicy(ModelPolicy):
     """Takes the most probable action of a network of ours, as a function of the observation alone."""
 
     def __init__(self, network: Any, config: TrainConfig, name: str) -> None:
-        self.network, self.actions, self.config, self.name = network, config.actions, config, name
-        self.uncertainty = config.env.observation.uncertainty
-        self.settings: Mapping[str, Any] = dict(active.SETTINGS) if self.uncertainty else {}
-        self.reset()
-
-    def reset(self, seed: int = 0) -> None:
-        """Start an episode; nothing here is random."""
-        self.memory: Any = None
-        self.episode_start = np.ones(1, np.bool_)
-
-    def act(self, observation: dict[str, Any], mask: Any = None) -> Any:
-        """A row of the goals, or velocities (2,) float32; `mask` (32,) excludes rows.
-
-        One that was trained without goals on known ground never chooses one, unless there is no other. Raises
-        `ConfigError` without the columns that it was trained with.
-        """
-        if self.actions != "goal":
-            if self.uncertainty:
-                active.check_columns(observation, self.name)
-            return np.asarray(self._predict(observation), np.float32)
-        seen, mine, allowed = own_goals(observation, mask, self.uncertainty, self.name)
-        if not mine.any() and allowed.any():
-            return int(allowed.argmax())
-        return int(self._predict(seen, action_masks=mine[None]))
-
-    def _predict(self, observation: dict[str, Any], **masks: Any) -> Any:
-        inputs = downsample(observation, self.actions == "goal")
-        batch = {name: np.asarray(values)[None] for name, values in inputs.items()}
-        actions, self.memory = self.network.predict(batch, self.memory, self.episode_start, deterministic=True, **masks)
-        self.episode_start = np.zeros(1, np.bool_)
-        return actions[0]
+        self.network, self.config = network, config
+        fit = Fit(config.actions, dict(active.SETTINGS) if config.env.observation.uncertainty else {})
+        goals = config.actions == "goal"
+        super().__init__(StockModel(network, lambda seen: batched(downsample(seen, goals))), fit, name)
 
 
-def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy | ModelPolicy:
+def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
     """The policy of that name from `mecp_env/learning/weights`, or that of a run folder.
 
     With `trust` also the model file of Stable-Baselines3 (.zip) or TorchScript (.pt) at that path, which may run
@@ -92,7 +62,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> PredictingPolicy | 
     config = TrainConfig.build(read_config(folder / CONFIG))
     network = make_network(config)
     files.put_weights(network, *read_weights(folder, config))
-    return PredictingPolicy(network, config, str(path))
+    return LearnedPolicy(network, config, str(path))
 
 
 def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Path]:

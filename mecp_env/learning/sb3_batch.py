@@ -14,16 +14,25 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-import torch
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers.vector import DictInfoToList
 from numpy.typing import NDArray
-from sb3_contrib.common.maskable.buffers import MaskableDictRolloutBuffer
-from stable_baselines3.common.policies import BasePolicy
-from torch import Tensor
 
 from mecp_env.policies.registry import INSTALL
 from mecp_env.vector import BatchEnv, make_batch
+
+try:
+    import torch
+    from sb3_contrib.common.maskable.buffers import MaskableDictRolloutBuffer
+    from stable_baselines3.common.callbacks import BaseCallback
+    from stable_baselines3.common.env_util import is_wrapped
+    from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+    from stable_baselines3.common.policies import BasePolicy
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(f"SB3Batch needs {error.name}; {INSTALL}", name=error.name) from None
+
+MASKS = "action_masks"
 
 
 class OptionBuffer(MaskableDictRolloutBuffer):
@@ -45,7 +54,7 @@ class OptionBuffer(MaskableDictRolloutBuffer):
         self.discounts[self.pos] = self.next_discounts
         super().add(*args, **kwargs)
 
-    def compute_returns_and_advantage(self, last_values: Tensor, dones: np.ndarray) -> None:
+    def compute_returns_and_advantage(self, last_values: torch.Tensor, dones: np.ndarray) -> None:
         """Write `advantages` and `returns` (steps, n_envs)."""
         values = np.concatenate([self.values, last_values.cpu().numpy().reshape(1, -1)])
         ended = np.concatenate([self.episode_starts[1:], dones.astype(np.float32).reshape(1, -1)])
@@ -58,6 +67,19 @@ class OptionBuffer(MaskableDictRolloutBuffer):
         self.returns = self.advantages + self.values
 
 
+class OptionCallback(BaseCallback):
+    """Passes the discount of every option to the `OptionBuffer`, and adds the value after a step limit."""
+
+    model: OnPolicyAlgorithm
+
+    def _on_step(self) -> bool:
+        infos, rewards = self.locals["infos"], self.locals["rewards"]
+        if isinstance(self.model.rollout_buffer, OptionBuffer):
+            self.model.rollout_buffer.next_discounts = np.array([info["discount"] for info in infos], np.float32)
+            bootstrap_truncated(self.model.policy, rewards, infos)
+        return True
+
+
 def bootstrap_truncated(policy: BasePolicy, rewards: np.ndarray, infos: list[dict[str, Any]]) -> None:
     """Add to `rewards` (n_envs,) the value after options that a step limit truncated, by their own discount.
 
@@ -68,15 +90,6 @@ def bootstrap_truncated(policy: BasePolicy, rewards: np.ndarray, infos: list[dic
         with torch.no_grad():
             value = policy.predict_values(policy.obs_to_tensor(info["terminal_observation"])[0])
         rewards[row] += info["discount"] * float(value)
-
-
-try:
-    from stable_baselines3.common.env_util import is_wrapped
-    from stable_baselines3.common.vec_env import VecEnv
-except ModuleNotFoundError as error:
-    raise ModuleNotFoundError(f"SB3Batch needs {error.name}; {INSTALL}", name=error.name) from None
-
-MASKS = "action_masks"
 
 
 def make(name: str, num_envs: int, **options: Any) -> SB3Batch:

@@ -3,23 +3,29 @@
 from __future__ import annotations
 
 import signal
+import time
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 import numpy as np
 import torch
-from stable_baselines3.common.vec_env import VecNormalize
+from sb3_contrib import MaskablePPO
+from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_maskable
+from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
+from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from mecp_env.core import processes
-from mecp_env.learning import models
-from mecp_env.learning.callbacks import EvaluationCallback, OptionCallback, SafeCheckpointCallback, StatisticsCallback
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.curves import draw_training
-from mecp_env.learning.environments import make_env, make_many
-from mecp_env.learning.files import TrainingState
-from mecp_env.learning.run_folder import RunFolder, RunLog
+from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_env, make_many, make_validation
+from mecp_env.learning.files import check_finite, save_policy
+from mecp_env.learning.models import check_size, make_model
+from mecp_env.learning.run_folder import RunFolder, TrainingState
+from mecp_env.learning.run_log import CLOCK, RunLog, draw_training
+from mecp_env.learning.sb3_batch import OptionCallback
 from mecp_env.learning.warm_start import check_teacher, warm_start
 
 AT_ONCE: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
@@ -32,82 +38,190 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
     Raises `ConfigError` before anything is written, `WorkerDied`, and `NotFiniteError`.
     """
     check(config)
-    with closing(RunFolder(folder, config)) as run_folder:
-        run_folder.resume() if resume else run_folder.start()
-        log = RunLog(folder, config.steps, config.log.tensorboard)
-        with TrainingRun(run_folder, log) as run, log, stopped_in_order(run):  # the log starts threads after the forks
-            done = run.train(resume)
-        draw_training(folder)
-        return done
+    with closing(RunFolder(folder, config)) as run_folder, ExitStack() as stack:
+        run_folder.hold() if resume else run_folder.start()
+        torch.set_num_threads(1)  # several meet at the end of every operation: slower where a core is shared
+        timed = stack.enter_context(closing(make_many(config, config.seed)))
+        gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
+        venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
+        model = make_model(config, venv, config.seed)
+        processes.keep()  # of an update; the workers are not meant
+        log = stack.enter_context(RunLog(folder, config.steps, config.log.tensorboard))  # threads, after the forks
+        run = stack.enter_context(closing(RunCallback(run_folder, log, timed)))
+        stack.enter_context(stopped_in_order(run))
+        if resume:
+            run.state = resumed(run_folder, model, log)
+        done = learn(model, run)
+    draw_training(folder)
+    return done
 
 
 def check(config: TrainConfig) -> None:
     """Raise `ConfigError` for a configuration that cannot be trained."""
     check_teacher(config)
-    models.check_size(config)
+    check_size(config)
     for index in range(len(config.buildings.difficulty)):
         make_env(config, index).close()
 
 
-class TrainingRun:
-    """Environments, algorithm and callbacks of a run; a context manager that ends its workers."""
+def resumed(folder: RunFolder, model: OnPolicyAlgorithm, log: RunLog) -> TrainingState:
+    """The state of a run that continues, and its model. All draws follow from the seed and the decisions made."""
+    state = folder.resume(model, log.echo)
+    returns = reward_statistics(model)
+    returns.mean, returns.var, returns.count = *map(np.array, state.returns[:2]), state.returns[2]
+    if state.decisions:
+        words = np.random.SeedSequence([folder.config.seed, state.decisions]).generate_state(1)
+        model.set_random_seed(int(words[0]) // 2)
+    return state
 
-    def __init__(self, folder: RunFolder, log: RunLog) -> None:
-        self.config, self.folder, self.log = folder.config, folder, log
-        self.state = TrainingState()
 
-    def __enter__(self) -> Self:
-        config = self.config
-        torch.set_num_threads(1)  # several meet at the end of every operation: slower where a core is shared
-        timed = make_many(config, config.seed)
-        gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
-        self.venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
-        self.model = models.make_model(config, self.venv, config.seed)
-        processes.keep()  # of an update; the workers are not meant
-        self.statistics = StatisticsCallback(self.state, self.log, timed)
-        self.evaluation = EvaluationCallback(self.folder, self.log, self.statistics)
-        return self
+def learn(model: OnPolicyAlgorithm, run: RunCallback) -> bool:
+    """Train to the end, or until `stop`; then everything is saved. An interrupted warm start is not."""
+    config, log = run.folder.config, run.log
+    log.start(run.state.decisions)
+    model.set_logger(log.training)
+    teacher = config.warm_start.teacher and not run.state.decisions
+    if teacher and not warm_start(model, model.get_vec_normalize_env(), config, log, lambda: run.stop):
+        log.echo("nothing is saved yet: an interrupted warm start starts again")
+        return False
+    left = max(0, config.steps - run.state.decisions)
+    model.learn(left, callback=[OptionCallback(), run], reset_num_timesteps=False)
+    return not run.stop
 
-    def __exit__(self, *_: object) -> None:
-        self.evaluation.close()
-        self.venv.close()
 
-    def resume(self) -> None:
-        """Continue from the newest checkpoint, if there is one. Raises `WeightError`."""
-        found = self.folder.checkpoints.load(self.model, self.log.echo)
-        if found is None:
-            self.log.echo("resumed from the beginning: no checkpoint yet")
+def reward_statistics(model: OnPolicyAlgorithm) -> Any:
+    """The running statistics by which rewards are normalised."""
+    venv = model.get_vec_normalize_env()
+    assert venv is not None
+    return venv.ret_rms
+
+
+class RunCallback(BaseCallback):
+    """Counts and logs; between two updates it evaluates, keeps the best policy and saves checkpoints.
+
+    Stable-Baselines3's own callbacks save and evaluate within a rollout, by the reward alone, and not atomically.
+    """
+
+    model: OnPolicyAlgorithm
+
+    def __init__(self, folder: RunFolder, log: RunLog, timed: TimedVecEnv) -> None:
+        super().__init__()
+        self.folder, self.log, self.timed = folder, log, timed
+        self.state, self.stop = TrainingState(), False  # after `stop` the training ends
+        self.validation: VecEnv | None = None  # made when it is first needed
+        self.saved_s = time.perf_counter()
+
+    def _on_training_start(self) -> None:
+        self._start_clock()
+
+    def _start_clock(self) -> None:
+        self.start_s = time.perf_counter()
+        self.timed.waited_s, self.timed.periods = 0.0, 0
+
+    def _on_rollout_start(self) -> None:
+        begun, state, options = time.perf_counter(), self.state, self.folder.config.log
+        check_finite(self.model.policy)
+        if not self.stop and (state.evaluated < 0 or state.decisions >= state.evaluated + options.evaluate_every):
+            self.evaluate()
+        if begun - self.saved_s >= options.checkpoint_s:
+            self.save()
+        self.start_s += time.perf_counter() - begun  # which is no part of the training time
+
+    def _on_step(self) -> bool:
+        state = self.state
+        for info in self.locals["infos"]:
+            state.periods += info["periods"]
+            state.episodes += "figures" in info
+            for name, value in info.get("figures", {}).items():
+                self.logger.record_mean(f"rollout/{name}", value)
+        state.decisions = self.num_timesteps
+        self.log.advance(state.decisions)
+        return not self.stop
+
+    def _on_rollout_end(self) -> None:
+        seconds = time.perf_counter() - self.start_s
+        self.state.seconds += seconds
+        rate, waiting = self.timed.periods / seconds, self.timed.waited_s / seconds
+        self._start_clock()
+        for name, value in (self.clock() | {"periods_per_s": rate, "waiting_share": waiting}).items():
+            self.logger.record(f"time/{name}", value)
+        area = self.logger.name_to_value.get("rollout/auc")
+        text = f"{rate:,.0f} steps/s, waiting {waiting:.0%}"
+        self.log.advance(self.state.decisions, text if area is None else f"area {area:.3f}, {text}")
+
+    def _on_training_end(self) -> None:
+        check_finite(self.model.policy)
+        if not self.stop and self.state.evaluated != self.state.decisions:
+            self.evaluate()
+        self.save()
+
+    def clock(self) -> dict[str, Any]:
+        """How far the run has come."""
+        return self.state.model_dump(include=set(CLOCK))
+
+    def save(self) -> None:
+        """Write a checkpoint. Raises `NotFiniteError`."""
+        returns = reward_statistics(self.model)
+        self.state.returns = float(returns.mean), float(returns.var), float(returns.count)
+        self.folder.save(self.model, self.state)
+        if not self.folder.config.log.evaluate_buildings:
+            self.keep_policy()
+        self.saved_s = time.perf_counter()
+
+    def evaluate(self) -> None:
+        """Evaluate on the validation split; the best policy so far is the one that is loaded from the folder."""
+        state, config = self.state, self.folder.config
+        state.evaluated = state.decisions
+        if not config.log.evaluate_buildings:
             return
-        self.state = self.statistics.state = found
-        returns = self.venv.ret_rms
-        returns.mean, returns.var = np.array(found.return_mean), np.array(found.return_var)
-        returns.count = found.return_count
-        self.venv.seed(int(np.random.SeedSequence([self.config.seed, found.decisions]).generate_state(1)[0]) // 2)
-        self.log.echo(f"resumed after {found.decisions:,} decisions")
+        figures = self.figures(config.log.evaluate_buildings)
+        best = figures[config.score] > state.best_score
+        self.log.add_evaluation(self.clock(), figures, best)
+        if best:
+            state.best_score = figures[config.score]
+            self.keep_policy(validation=figures)
 
-    def train(self, resume: bool) -> bool:
-        """Train to the end, or until `stop`; then everything is saved. An interrupted warm start is not."""
-        if resume:
-            self.resume()
-        self.log.start(self.state.decisions)
-        self.model.set_logger(self.log.training)
-        teacher = self.config.warm_start.teacher and not self.state.decisions
-        if teacher and not warm_start(self.model, self.venv, self.config, self.log, lambda: self.statistics.stop):
-            self.log.echo("nothing is saved yet: an interrupted warm start starts again")
-            return False
-        saving = SafeCheckpointCallback(self.folder, self.venv, self.statistics)
-        callbacks = [OptionCallback(), self.statistics, self.evaluation, saving]
-        left = max(0, self.config.steps - self.state.decisions)
-        self.model.learn(left, callback=callbacks, reset_num_timesteps=False)
-        return not self.statistics.stop
+    def keep_policy(self, **facts: Any) -> None:
+        """Make the policy the one that is loaded from the folder; `facts` describe its origin."""
+        facts |= {"decisions": self.state.decisions, "seconds": round(self.state.seconds)}
+        save_policy(self.folder.folder, self.model.policy, self.folder.config.algorithm, facts)
+
+    def figures(self, buildings: int) -> dict[str, float]:
+        """The mean of each metric over the buildings, one episode in each, and their number `n`.
+
+        The policy takes its most probable action; building and seed of each episode are always the same.
+        """
+        found: list[dict[str, float]] = []
+
+        def collect(scope: dict[str, Any], _: dict[str, Any]) -> None:
+            if scope["done"]:
+                found.append(scope["info"]["figures"])
+
+        self.validation = self.validation or make_validation(self.folder.config)
+        self.validation.seed(0)
+        evaluate: Any = evaluate_maskable if isinstance(self.model, MaskablePPO) else evaluate_policy
+        evaluate(self.model, self.validation, buildings, callback=collect, warn=False)
+        return mean_of(found)
+
+    def close(self) -> None:
+        """End the workers."""
+        if self.validation is not None:
+            self.validation.close()
+
+
+def mean_of(episodes: list[dict[str, float]]) -> dict[str, float]:
+    """The means of the metrics of some episodes, the standard error of the area under the curve, and `n`."""
+    means = {name: float(np.mean([episode[name] for episode in episodes])) for name in FIGURES}
+    spread = float(np.std([episode["auc"] for episode in episodes])) / max(1, len(episodes) - 1) ** 0.5
+    return means | {"auc_error": spread, "n": len(episodes)}
 
 
 @contextmanager
-def stopped_in_order(run: TrainingRun) -> Iterator[None]:
+def stopped_in_order(run: RunCallback) -> Iterator[None]:
     """Within it Ctrl-C or SIGTERM, as of a cluster's scheduler, ends the run in order; a second one ends it at once."""
 
     def stop(number: int, frame: Any) -> None:
-        run.statistics.stop = True
+        run.stop = True
         name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
         run.log.echo(f"stopping: everything is saved after this step; {name} again ends at once")
         signal.signal(number, AT_ONCE[signal.Signals(number)])

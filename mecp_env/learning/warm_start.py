@@ -21,7 +21,7 @@ from mecp_env.core.work_units import FailedUnit, run_units
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.downsampled import Observation, downsample, goal_masks
 from mecp_env.learning.environments import make_env
-from mecp_env.learning.run_folder import RunLog
+from mecp_env.learning.run_log import RunLog
 from mecp_env.policies.registry import make_policy
 
 ACTIVE = ("pause", "returning", "stachniss")  # explorers that act on their uncertainty
@@ -96,12 +96,10 @@ def gather(config: TrainConfig, log: RunLog, stop: Callable[[], bool]) -> Lesson
     """At least as many decisions of the teacher as configured, in complete episodes; fewer after `stop()`."""
     parts, held, wanted = list[Lesson](), 0, config.warm_start.decisions
     with closing(episodes(config, stop)) as lessons:
-        for part in lessons:
+        while held < wanted and (part := next(lessons, None)) is not None:
             parts.append(part)
             held += len(part["action"])
             log.advance(0, f"warm start: {held:,} of {wanted:,} decisions")
-            if held >= wanted:
-                break
     return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
 
 

@@ -17,11 +17,11 @@ pytest.importorskip("safetensors")
 from mecp_env.cli import main as cli  # noqa: E402
 from mecp_env.core.errors import ConfigError  # noqa: E402
 from mecp_env.learning import files  # noqa: E402
-from mecp_env.learning.files import WeightError, write_json  # noqa: E402
+from mecp_env.learning.config import WeightError  # noqa: E402
+from mecp_env.learning.files import NotFiniteError, save_policy, write_json  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import make_network  # noqa: E402
-from mecp_env.learning.run_folder import save_policy  # noqa: E402
-from mecp_env.policies.registry import KIND, PLACE, VALID, WAIT, WEIGHTS, choices, shipped  # noqa: E402  # noqa: E402
+from mecp_env.policies.registry import KIND, PLACE, VALID, WAIT, WEIGHTS, choices, shipped  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
 
@@ -85,7 +85,12 @@ def test_weights_that_are_not_finite_are_refused(folder):
     policy = make_network(quick())
     with torch.no_grad():
         next(policy.parameters()).fill_(float("nan"))
-    save_policy(folder, policy, "maskable_ppo", {})
+    with pytest.raises(NotFiniteError):
+        save_policy(folder, policy, "maskable_ppo", {})
+    data = files.tensor_bytes(files.weights_of(policy))
+    weights(folder).write_bytes(data)
+    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": files.checksum(data)}
+    write_json(folder / "policy.json", about)
     with pytest.raises(WeightError, match="not finite"):
         load(folder)
 
@@ -201,7 +206,7 @@ def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_pat
         archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
     with pytest.raises(WeightError, match="cannot be loaded"):
         load(path, trust=True)
-    monkeypatch.setattr("mecp_env.learning.models.MOST_UNPACKED", 1000)
+    monkeypatch.setattr("mecp_env.learning.exported.MOST_UNPACKED", 1000)
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         archive.writestr("data", " " * 100_000)
     with pytest.raises(WeightError, match="unpacked"):

@@ -13,12 +13,10 @@ pytest.importorskip("sb3_contrib")
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
-from mecp_env.learning.callbacks import OptionCallback  # noqa: E402
 from mecp_env.learning.environments import make_many  # noqa: E402
-from mecp_env.learning.files import Checkpoints, read_checkpoint  # noqa: E402
 from mecp_env.learning.models import make_model  # noqa: E402
-from mecp_env.learning.sb3_batch import bootstrap_truncated  # noqa: E402
-from tests.learning.training import QUICK, quick, resume, run  # noqa: E402
+from mecp_env.learning.sb3_batch import OptionCallback, bootstrap_truncated  # noqa: E402
+from tests.learning.training import QUICK, checkpoints, quick, resume, run, weights_in  # noqa: E402
 
 
 class Discounts(BaseCallback):
@@ -72,7 +70,7 @@ def test_two_runs_that_continue_from_a_checkpoint_learn_the_same(tmp_path):
     for name in ("a", "b"):
         shutil.copytree(folder, tmp_path / name)
         assert resume(tmp_path / name, "--steps", "24") == 0
-        last = Checkpoints(tmp_path / name / "checkpoints", 3).paths()[-1]
+        last = checkpoints(tmp_path / name)[-1]
         assert int(last.stem) == 24
-        weights.append(read_checkpoint(last)["policy"])
+        weights.append(weights_in(last))
     assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])

@@ -16,7 +16,7 @@ contrib = pytest.importorskip("sb3_contrib")
 from gymnasium import spaces  # noqa: E402
 
 from mecp_env.core.errors import ConfigError  # noqa: E402
-from mecp_env.learning.files import WeightError  # noqa: E402
+from mecp_env.learning.config import WeightError  # noqa: E402
 from mecp_env.learning.fits import fit, space_of  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
@@ -104,7 +104,7 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
     np.testing.assert_allclose(
         seen[0][0], np.clip((observation - 5.0) / np.sqrt(1.0 + env.epsilon), -2.0, 2.0), rtol=1e-4
     )
-    assert plain.model.statistics is None  # type: ignore[union-attr]
+    np.testing.assert_array_equal(plain.model.prepare(observation)[0], observation)  # type: ignore[union-attr]
     (tmp_path / "model_vecnormalize.pkl").write_bytes(b"no pickle")
     with pytest.raises(WeightError, match=r"model_vecnormalize\.pkl: cannot be loaded"):
         load(model, trust=True)

@@ -18,17 +18,17 @@ from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.config import REWARDS  # noqa: E402
 from mecp_env.episode.potentials import register_reward  # noqa: E402
-from mecp_env.learning import files, learned  # noqa: E402
+from mecp_env.learning import files  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
-from mecp_env.learning.files import MOST_BYTES, Checkpoints, TrainingState, read_checkpoint  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.models import check_size, make_model  # noqa: E402
-from mecp_env.learning.run_folder import RunLog  # noqa: E402
+from mecp_env.learning.run_folder import MOST_BYTES, RunFolder, TrainingState, load_checkpoint  # noqa: E402
+from mecp_env.learning.run_log import RunLog  # noqa: E402
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
 from mecp_env.learning.warm_start import warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402
-from tests.learning.training import QUICK, ROOT, quick, run, start, write_config  # noqa: E402
+from tests.learning.training import QUICK, ROOT, checkpoints, quick, run, start, weights_in, write_config  # noqa: E402
 
 
 def rows(path):
@@ -71,7 +71,7 @@ def test_the_same_seed_trains_the_same_policy(tmp_path):
         (tmp_path / name).mkdir()
         folders.append(run(tmp_path / name)[0])
     checks = [json.loads((folder / "policy.json").read_text())["sha256"] for folder in folders]
-    last = [read_checkpoint(Checkpoints(folder / "checkpoints", 3).paths()[-1])["policy"] for folder in folders]
+    last = [weights_in(checkpoints(folder)[-1]) for folder in folders]
     assert checks[0] == checks[1]
     assert all(torch.equal(last[0][name], last[1][name]) for name in last[0])
 
@@ -124,16 +124,16 @@ def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
     """A wide network trained to the end; then neither its checkpoints nor its policy could be read."""
     config = quick(network={"width": 500})
     check_size(config)
-    assert learned.MOST_BYTES >= files.MOST_POLICY_BYTES
     venv = make_many(config, 0)
     model = make_model(config, venv, 0)
     sum(weight.sum() for weight in model.policy.parameters()).backward()
     model.policy.optimizer.step()  # from now on Adam has its memory
-    path = Checkpoints(tmp_path, 1).save(model, TrainingState())
+    RunFolder(tmp_path, config).save(model, TrainingState())
+    (path,) = checkpoints(tmp_path)
     size = sum(weight.numel() * 4 for weight in model.policy.parameters())
     assert size > 0.9 * files.MOST_POLICY_BYTES
     assert path.stat().st_size < MOST_BYTES
-    assert read_checkpoint(path)
+    assert load_checkpoint(path, model)
     venv.close()
 
 
@@ -153,11 +153,11 @@ def launcher():
         yield launcher
 
 
-def wait_for_checkpoint(process, checkpoints, beyond=-1):
+def wait_for_checkpoint(process, folder, beyond=-1):
     """Wait until a run has written a checkpoint after more than this number of decisions."""
     give_up = time.monotonic() + 300
     while process.poll() is None and time.monotonic() < give_up:
-        if any(int(path.stem) > beyond for path in checkpoints.paths()):
+        if any(int(path.stem) > beyond for path in checkpoints(folder)):
             return
         time.sleep(0.02)
     raise AssertionError(f"no checkpoint: {process.communicate()[0]}")
@@ -177,12 +177,11 @@ def resumed_after(process):
 def test_a_killed_run_goes_on_from_its_last_checkpoint(launcher, tmp_path):
     """`kill -9` in the middle of training; the tables have every update once."""
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=48)
-    checkpoints = Checkpoints(folder / "checkpoints", 3)
     process = start(launcher, "--config", str(config), "--out", str(folder))
-    wait_for_checkpoint(process, checkpoints, beyond=12)
+    wait_for_checkpoint(process, folder, beyond=12)
     process.kill()
     process.communicate()
-    last = int(checkpoints.paths()[-1].stem)
+    last = int(checkpoints(folder)[-1].stem)
     again = start(launcher, "--resume", str(folder))
     said, _ = again.communicate(timeout=300)
     assert again.returncode == 0, said
@@ -197,14 +196,13 @@ def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
     """One run, killed repeatedly: nothing that was saved is lost."""
     rng = random.Random(0)
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=100_000)
-    checkpoints = Checkpoints(folder / "checkpoints", 3)
     process, reached = start(launcher, "--config", str(config), "--out", str(folder)), 0
     for _ in range(2):
-        wait_for_checkpoint(process, checkpoints, beyond=reached)
+        wait_for_checkpoint(process, folder, beyond=reached)
         time.sleep(rng.uniform(0.0, 1.5))
         process.kill()
         process.communicate()
-        newest = int(checkpoints.paths()[-1].stem)
+        newest = int(checkpoints(folder)[-1].stem)
         process = start(launcher, "--resume", str(folder))
         assert resumed_after(process) == newest > reached
         reached = newest
@@ -217,17 +215,17 @@ def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
 def test_ctrl_c_and_sigterm_save_and_say_where(number, launcher, tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
     process = start(launcher, "--config", str(config), "--out", str(folder))
-    wait_for_checkpoint(process, Checkpoints(folder / "checkpoints", 3))
+    wait_for_checkpoint(process, folder)
     process.send_signal(number)
     said, _ = process.communicate(timeout=300)
     assert process.returncode == 130, said
     assert f"--resume {folder}" in said.replace("\n", "")
-    assert Checkpoints(folder / "checkpoints", 3).paths()
+    assert checkpoints(folder)
 
 
 def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path):
     folder, _ = run(tmp_path, steps=60)
-    paths = Checkpoints(folder / "checkpoints", 3).paths()
+    paths = checkpoints(folder)
     assert len(paths) == 3
     assert not list((folder / "checkpoints").glob(".*"))
     newest = bytearray(paths[-1].read_bytes())
@@ -237,8 +235,7 @@ def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path):
     venv = make_many(config, 0)
     model = make_model(config, venv, 0)
     skipped: list[str] = []
-    state = Checkpoints(folder / "checkpoints", 3).load(model, skipped.append)
-    assert state is not None
+    state = RunFolder(folder, config).load_newest(model, skipped.append)
     assert state.decisions == int(paths[-2].stem)
     assert "damaged" in skipped[0]
     venv.close()
@@ -318,13 +315,12 @@ def test_advantages_of_drives_are_those_of_the_definition():
 
 
 def test_a_killed_worker_ends_the_run_with_a_word(tmp_path, capsys, monkeypatch):
-    from mecp_env.learning.train import TrainingRun
     from mecp_env.vector import WorkerDied
 
-    def run_into_trouble(self, resume):
+    def run_into_trouble(model, run):
         raise WorkerDied("worker 0 (environments 0 to 1) was killed by SIGKILL")
 
-    monkeypatch.setattr(TrainingRun, "train", run_into_trouble)
+    monkeypatch.setattr("mecp_env.learning.train.learn", run_into_trouble)
     folder, code = run(tmp_path)
     said = capsys.readouterr()
     assert code == 1
@@ -341,7 +337,7 @@ def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsy
     folder, code = run(tmp_path)
     assert code == 1
     assert "is not finite any more" in capsys.readouterr().err
-    assert [path.stem for path in Checkpoints(folder / "checkpoints", 3).paths()] == ["000000000000"]
+    assert [path.stem for path in checkpoints(folder)] == ["000000000000"]
     assert load(folder)
 
 
@@ -353,5 +349,5 @@ def test_workers_learn_the_same_as_one_process(workers, tmp_path):
         (tmp_path / name).mkdir()
         folder, code = run(tmp_path / name, workers=name, steps=12)
         assert code == 0
-        checks.append(read_checkpoint(Checkpoints(folder / "checkpoints", 3).paths()[-1])["policy"])
+        checks.append(weights_in(checkpoints(folder)[-1]))
     assert all(torch.equal(checks[0][key], checks[1][key]) for key in checks[0])

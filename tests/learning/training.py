@@ -6,6 +6,7 @@ import json
 import os
 from contextlib import nullcontext
 from pathlib import Path
+from typing import Any
 from unittest.mock import patch
 
 from mecp_env.cli import main as cli
@@ -36,6 +37,18 @@ def write_config(path: Path, **fields: object) -> Path:
     """Such a configuration as a file."""
     path.write_text(json.dumps(QUICK | {"algorithm": "maskable_ppo"} | fields))
     return path
+
+
+def checkpoints(folder: Path) -> list[Path]:
+    """The checkpoints of a run, the oldest first."""
+    return sorted(path for path in folder.glob("checkpoints/*.zip") if path.stem.isdecimal())
+
+
+def weights_in(checkpoint: Path) -> dict[str, Any]:
+    """The weights of the policy in a checkpoint."""
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    return dict(load_from_zip_file(checkpoint, load_data=False)[1]["policy"])
 
 
 def run(tmp_path: Path, *words: str, curves: bool = False, **fields: object) -> tuple[Path, int]:
