@@ -44,11 +44,11 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
     "completion": ("completion", "Completion", "complete commands and options in bash, zsh or fish"),
     "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
-    "worlds draw": ("worlds_draw", "Draw", "floor plans as PNG or SVG; several on a sheet"),
-    "worlds generate": ("worlds_generate", "Generate", "new buildings from a specification and seeds"),
+    "worlds draw": ("worlds_files", "Draw", "floor plans as PNG or SVG; several on a sheet"),
+    "worlds generate": ("worlds_make", "Generate", "new buildings from a specification and seeds"),
     "worlds validate": ("worlds_files", "Validate", "whether files are sound, or what is wrong and where"),
     "worlds convert": ("worlds_files", "Convert", "from one format to another"),
-    "worlds stats": ("worlds_stats", "Stats", "rooms, doors, loops, corners... in a table"),
+    "worlds stats": ("worlds_make", "Stats", "rooms, doors, loops, corners... in a table"),
 }
 GROUPS = {words.partition(" ")[0] for words in COMMANDS if " " in words}
 WIDEST = max(map(len, COMMANDS))
