@@ -36,7 +36,7 @@ COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview say
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
     "submit": ("submit", "Submit", "score one policy in a frozen benchmark; write its result file"),
-    "leaderboard": ("leaderboard", "Leaderboard", "one table of several results of a frozen benchmark"),
+    "leaderboard": ("submit", "Leaderboard", "one table of several results of a frozen benchmark"),
     "record-dataset": ("record_dataset", "RecordDataset", "episodes of a policy as a Minari dataset"),
     "train": ("train", "Train", "train a policy, or resume a run"),
     "play": ("play", "Play", "drive by keyboard: ground truth on the left, the estimate on the right"),
