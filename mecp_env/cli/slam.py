@@ -98,10 +98,8 @@ class Slam(WithModules):
         check_map(self.save_map, str(self.log), "slam")
         log, fault = self._checked(self._read())
         pipeline, calibration = self._estimator(log, fault, line)
-        noise = named_fields(self.noise, line, "--noise.")
-        of_steps = OdometryConfig(**{name: noise[name] for name in noise if name in OdometryConfig.model_fields})
         keys = "odometry", "seed", "rest_m", "rest_deg"
-        options = LogRunConfig(noise=of_steps, **{key: getattr(self, key) for key in keys})
+        options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
         drive = LogDrive(log, pipeline, options, calibration)
         log = drive.log
         echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
@@ -195,6 +193,10 @@ class Slam(WithModules):
         except ValueError:
             raise ConfigError(f"--start: {self.start!r:.60}, {POSE}") from None
         return (x, y, heading)
+
+    def _noise(self, line: Sequence[str]) -> OdometryConfig:
+        named = named_fields(self.noise, line, "--noise.")
+        return OdometryConfig(**{name: value for name, value in named.items() if name in OdometryConfig.model_fields})
 
     def _recipe(self, run: LogRun, options: Any) -> dict[str, Any]:
         """What another run needs to give the same."""
