@@ -253,7 +253,7 @@ def write_recipe(folder: Path) -> Path:
 
 def use_recipe(path: Path) -> None:
     """Read it as `replay` does."""
-    from mecp_env.cli.replay import recipe_of
+    from mecp_env.cli.demo import recipe_of
     from mecp_env.config import EnvConfig
 
     EnvConfig.build(recipe_of(path.parent)["config"])

@@ -28,13 +28,7 @@ class Command(ABC):
     """A command: a dataclass of its options, whose docstring is its help. Types may have bounds, as `Seed` has."""
 
     examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
-
-    choices: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> the words that it takes
-
-    @classmethod
-    def own_modules(cls, line: Sequence[str]) -> list[str]:
-        """Modules of the user to import before options are checked: they register names."""
-        return []
+    fixes: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> those that have no meaning beside it
 
     @classmethod
     def completed(cls, line: Sequence[str]) -> list[str]:
@@ -42,20 +36,22 @@ class Command(ABC):
         return list(line)
 
     @classmethod
-    def hints(cls, line: Sequence[str]) -> list[str]:
-        """What was probably meant by words that an option does not take."""
-        pairs = [pair for pair in pairwise(line) if pair[1] not in cls.choices.get(pair[0], (pair[1],))]
-        near = [(option, word, guess(word, cls.choices[option])) for option, word in pairs]
-        return [f"{option} {word}{found}" for option, word, found in near if found]
-
-    @classmethod
     def defaults(cls, line: Sequence[str]) -> Self | None:
         """What the options are where the line does not say; None: as the dataclass has it."""
         return None
 
     def check(self, line: Sequence[str]) -> None:
-        """Refuse options that contradict each other, before anything is loaded. Raises `ConfigError`."""
-        return
+        """Refuse options of which one fixes what the other selects. Raises `ConfigError`."""
+        named = named_options(line)
+        pairs = [(option, other) for option, others in self.fixes.items() for other in others]
+        for option, other in [pair for pair in pairs if named.issuperset(pair)]:
+            raise ConfigError(f"{self._said(other)}: {self._said(option)} fixes it; leave out one of the two")
+
+    def _said(self, name: str) -> str:
+        """An option as it was given: `--task ActiveHalls-v0`."""
+        value = getattr(self, name)
+        shown = isinstance(value, str | int | Path) and not isinstance(value, bool)
+        return f"--{name.replace('_', '-')}{f' {value}' if shown else ''}"
 
     @property
     def keeps_results(self) -> bool:
@@ -86,10 +82,28 @@ def gathered(line: Sequence[str], options: Collection[str] = LISTS) -> list[str]
     return [word for part in parts for word in part]
 
 
-def check_word(name: str, word: str, known: Iterable[str]) -> None:
-    """Raise `ConfigError` for a word that is not one of the known ones, with a suggestion."""
+def named_options(line: Sequence[str]) -> set[str]:
+    """The options that a line names, each without what follows a dot: `{"env", "max_steps"}`."""
+    words = [word for word in line if word.startswith("--")]
+    return {word[2:].partition("=")[0].partition(".")[0].replace("-", "_") for word in words}
+
+
+def words_of(line: Sequence[str], option: str) -> list[str]:
+    """The first word behind an option, each time that a line has it: `["a", "b"]` for `--with a --with=b`."""
+    parts = [part for word in line for part in (word.split("=", 1) if word.startswith(f"{option}=") else [word])]
+    return [word for name, word in pairwise(parts) if name == option]
+
+
+def check_word(name: str, word: str, known: Iterable[str]) -> str:
+    """The word itself. Raises `ConfigError` for one that is not one of the known ones, with a suggestion."""
     if word not in (names := list(known)):
         raise ConfigError(f"{name}: {word!r:.80}, expected one of {', '.join(names)}{guess(word, names)}")
+    return word
+
+
+def one_of(name: str, known: Iterable[str]) -> AfterValidator:
+    """The check of an option that is one of some words, or empty."""
+    return AfterValidator(lambda word: word and check_word(name, word, known))
 
 
 def check_folder(path: Path, option: str = "--out") -> Path:
@@ -116,6 +130,13 @@ def check_writable(path: Path, option: str = "--out") -> Path:
     check_folder(path.parent, option)
     if path.is_dir():
         raise ConfigError(f"{option}: {path} is a folder, not a file; {ELSEWHERE}")
+    return path
+
+
+def check_json(path: Path, option: str) -> Path:
+    """`path` itself, a JSON file that may have to be made. Raises `ConfigError`, as `check_writable`."""
+    if check_writable(path, f"--{option}").suffix != ".json":
+        raise ConfigError(f"{option}: {path}: expected the name of a file that ends in .json")
     return path
 
 

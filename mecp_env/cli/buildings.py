@@ -87,11 +87,11 @@ def expand_all(words: Sequence[str], reading: Reading = AS_FOUND) -> list[str]:
     return [single for word in words for single in expand(word, reading)]
 
 
-def one(word: str, reading: Reading = AS_FOUND) -> str:
+def one(word: str, reading: Reading = AS_FOUND, option: str = "layout") -> str:
     """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
     first, *others = expand(word, reading)
     if others:
-        raise ConfigError(f"layout: {word} is {1 + len(others)} buildings; name one building, as {first}")
+        raise ConfigError(f"{option}: {word} is {1 + len(others)} buildings; name one building, as {first}")
     return first
 
 

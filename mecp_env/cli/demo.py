@@ -1,17 +1,35 @@
-"""`mecp-env demo`: explore a building and keep what there is to see."""
+"""`mecp-env demo | one-scan | replay`: explore a building by the robot's own map, and look at what was kept."""
 
 from __future__ import annotations
 
+import webbrowser
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
-from mecp_env.cli.base import Seed, check_folder
-from mecp_env.cli.buildings import Reading, ReadingOptions
-from mecp_env.cli.exit_codes import INTERRUPTED, exit_code
-from mecp_env.cli.options import Fields, WithModules, configuration
+import tyro
+from pydantic import Field
+
+from mecp_env.cli.base import Command, OutFolder, Seed, check_folder, check_writable
+from mecp_env.cli.buildings import Reading, ReadingOptions, one, resolve, spare_sources, stem
+from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code
+from mecp_env.cli.options import Fields, WithModules, check_map, configuration, end_rerun, rerun_log, save_map
+from mecp_env.cli.runs import FILES, Run, print_figures
+from mecp_env.config import EnvConfig
+from mecp_env.core import warm_up
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.files import read_json
+from mecp_env.env import MecpEnv
+from mecp_env.render.figures import save
+from mecp_env.render.replay import Recorder, play_again, write_page
+from mecp_env.render.stages import DPI, stage_figures
+from mecp_env.render.window import require_display
+from mecp_env.slam.frontend.clustering import cluster_beams
+from mecp_env.slam.output import SlamOutput
+
+PAGE, MOST_BYTES = "replay.html", 5_000_000  # of a configuration
+REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a page that one wrote"
 
 
 @dataclass(frozen=True)
@@ -41,33 +59,137 @@ class Demo(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
-        from mecp_env.cli.buildings import one, resolve, spare_sources, stem
-        from mecp_env.cli.explore import FILES, Run  # pictures and physics are loaded only where they are used
-        from mecp_env.cli.options import check_map, end_rerun, rerun_log, save_map
-        from mecp_env.cli.progress import ExplorationBar, print_result
-        from mecp_env.cli.stopwatch import timed_stages
-        from mecp_env.core import warm_up
-        from mecp_env.env import MecpEnv
-        from mecp_env.render.replay import Recorder
-        from mecp_env.render.window import require_display
-
-        folder = check_folder(self.out or Path("runs") / f"{stem(one(self.layout, self.reading))}-{self.seed}")
+        building = one(self.layout, self.reading)
+        folder = check_folder(self.out or Path("runs") / f"{stem(building)}-{self.seed}")
         spare_sources([folder / name for name in FILES], [self.layout])
         config = configuration(resolve(self.layout, self.reading), self.config, line)
-        check_map(self.save_map, one(self.layout, self.reading), config.estimator)
+        check_map(self.save_map, building, config.estimator)
         if self.render == "human":
             require_display()
         warm_up.prepare()
         recording = rerun_log(self.rerun, config.robot.period_s)
         env = MecpEnv(config, None if self.render == "none" else "human")
         run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None, recording)
-        with timed_stages() as watch, ExplorationBar(run, watch) as bar, suppress(KeyboardInterrupt):
-            run.explore(bar.show)
+        watch = run.watched()
         end_rerun(recording, self.rerun)
         if not run.estimated:
             return INTERRUPTED
         saved = list[bool]()
-        run.save_map = lambda: saved.append(save_map(run.env, self.save_map))
-        print_result(run.keep(folder, watch), folder)
-        run.env.close()
+        run.save_map = lambda: saved.append(save_map(env, self.save_map))
+        metrics = run.keep(folder, watch)
+        ended = "over, no goal left" if run.ended == "complete" else run.ended  # by the belief, not the truth
+        print_figures(f"exploration {ended}", metrics, folder)
+        env.close()
         return exit_code({"interrupted": INTERRUPTED}.get(run.ended, 0), all(saved))
+
+
+@dataclass(frozen=True)
+class OneScan(WithModules):
+    """Follow one scan through the stages: one picture each, as in docs/one-scan.md."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env one-scan",
+        "mecp-env one-scan --layout hard:7",
+        "mecp-env one-scan --layout office --step 10 --out runs/office-scan",
+    )
+
+    layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
+    seed: Seed = 0  # the same seed gives the same run
+    step: Annotated[int, Field(ge=0)] = 40  # the first scan from here on in which a polygon of the map is recognised
+    out: OutFolder = Path("runs/one-scan")  # folder for the pictures
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Write the pictures of one scan's stages, and say where they are."""
+        run = Run(MecpEnv(layout=resolve(self.layout, self.reading)), self.seed)
+        output, slam = recognition(run, self.step), run.env.config.estimator_config
+        united = slam.clustering.united(run.env.config.laser.sweeps)
+        clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor, united)
+        self.out.mkdir(parents=True, exist_ok=True)
+        for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):
+            path = self.out / f"{number}-{name}.png"
+            save(figure, path, dpi=DPI)
+            echo(path)
+        return 0
+
+
+class _Reached(Exception):
+    """The step that is wanted has come."""
+
+
+def recognition(run: Run, step: int) -> SlamOutput:
+    """The first scan of an exploration from `step` on in which a polygon of the map is recognised.
+
+    Raises `ConfigError` when the exploration ends before.
+    """
+
+    def stop(run: Run) -> None:
+        if run.steps >= step and run.env.slam_output.match.known >= 0:
+            raise _Reached
+
+    try:
+        run.explore(stop)
+    except _Reached:
+        return run.env.slam_output
+    raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")
+
+
+@dataclass(frozen=True)
+class Replay(Command):
+    """Make the page that plays a run: world and belief side by side, with a time slider, why each corner was matched or
+    not, and curves. RUN is the folder of a run, or its page, which gets the player of this version. A folder of `demo`
+    without a page is explored again, with the same bits."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env replay runs/paper-0",
+        "mecp-env replay runs/paper-0 --browser",
+        "mecp-env replay runs/training/replays/episode-0003.html --out best.html",
+    )
+
+    run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="RUN", metavar="RUN")]
+    out: Path | None = None  # file of the page; default: replay.html in the folder of the run, or the page itself
+    browser: bool = False  # show it in the browser
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Write the page. Raises `ConfigError` and `ReplayError`."""
+        page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
+        out = check_writable(self.out or page)
+        if page.exists():
+            count = play_again(page, out)
+        elif self.run_folder.is_dir():
+            played = explored_again(self.run_folder)
+            if not played:
+                return INTERRUPTED
+            write_page(played, out)
+            count = len(played["frames"])
+        else:
+            raise ConfigError(f"{self.run_folder}: there is no such file or folder; {REMEDY}")
+        echo(f"{count} frames: {out}")
+        if self.browser:
+            webbrowser.open(out.absolute().as_uri())
+        return 0
+
+
+def explored_again(folder: Path) -> dict[str, Any]:
+    """The run that `demo` kept in a folder, by its configuration; nothing after Ctrl-C. Raises `ConfigError`."""
+    recipe = recipe_of(folder)
+    run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
+    run.watched()
+    return run.replay() if run.ended != "interrupted" else {}
+
+
+def recipe_of(folder: Path) -> dict[str, Any]:
+    """`config.json` of a run of `demo`. Raises `ConfigError` where there is none, or another kind of file."""
+    path = folder / "config.json"
+    try:
+        recipe = read_json(path, MOST_BYTES)
+    except (OSError, ValueError) as error:
+        raise ConfigError(f"{folder}: neither {PAGE} nor a config.json that can be read ({error}); {REMEDY}") from None
+    known = isinstance(recipe, dict) and recipe.get("policy") == "breadth_first"
+    if not (known and isinstance(recipe.get("seed"), int) and isinstance(recipe.get("config"), dict)):
+        raise ConfigError(f"{path}: no run of `mecp-env demo`; {REMEDY}")
+    return dict(recipe)

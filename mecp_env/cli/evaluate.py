@@ -1,52 +1,61 @@
-"""`mecp-env evaluate`: compare policies in the same buildings."""
+"""`mecp-env evaluate | submit | leaderboard`: compare policies in the same buildings, or in a frozen benchmark."""
 
 from __future__ import annotations
 
 import json
+import re
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar
 
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import OutFolder, Steps, check_word, check_writable
+from mecp_env.cli.base import Command, OutFolder, Steps, check_json, check_word, named_options
 from mecp_env.cli.buildings import Reading, ReadingOptions
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error
-from mecp_env.cli.options import EnvironmentFields, WithModules, named_fields, named_options
+from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, tracked
+from mecp_env.cli.options import (
+    DifficultyName,
+    EnvironmentFields,
+    Estimator,
+    SplitName,
+    TaskName,
+    WithModules,
+    named_fields,
+)
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.files import exists, is_folder
+from mecp_env.core.files import exists, is_folder, write_atomic
+from mecp_env.core.intervals import Figures
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
-from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.comparison import Row
+from mecp_env.policies.evaluation import Evaluation, write_film, write_result
+from mecp_env.policies.leaderboard import check_name, reference_rows
+from mecp_env.policies.plots import draw_curves
+from mecp_env.policies.registry import EXPLORERS, LEARNED, OURS, make_policy, policy_names, training_hours
+from mecp_env.policies.report_table import overview, page
+from mecp_env.policies.rollout import EpisodeResult
+from mecp_env.policies.setting import Setting, plan_fields
+from mecp_env.policies.suites import (
+    METRICS,
+    SUITES,
+    Training,
+    find_suite,
+    leaderboard,
+    read_submission,
+    refuse_changes,
+    submission,
+)
 from mecp_env.world.config import CrowdConfig
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 from mecp_env.world.layout import shipped_layouts
 
-if TYPE_CHECKING:
-    from mecp_env.core.intervals import Figures
-    from mecp_env.policies.comparison import Row
-    from mecp_env.policies.evaluation import Evaluation
-    from mecp_env.policies.rollout import EpisodeResult
-    from mecp_env.policies.setting import Setting
-
+QUICK = "active-quick-v1"
 STEPS, TASK_STEPS = 3000, 1500  # of an episode
-Estimator = Literal["slam", "known", "truth"]
-FIXES = {  # option -> those that have no meaning beside it
-    "suite": (
-        *("task", "plans", "layout", "env", "crowd", "difficulty", "split", "episodes"),
-        *("max_steps", "estimator", "record"),
-    ),
-    "plans": ("layout", "difficulty", "split"),
-    "layout": ("difficulty", "split"),
-    "task": ("difficulty",),
-    "cluster": ("jobs",),
-}
 READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.name}")}
 
 
@@ -69,12 +78,21 @@ class Evaluate(WithModules):
         "mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20",
         "mecp-env evaluate bfs nearest --out runs/big --shard 1/4",
     )
-    choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator)}
+    fixes: ClassVar[Mapping[str, Sequence[str]]] = {
+        "suite": (
+            *("task", "plans", "layout", "env", "crowd", "difficulty", "split", "episodes"),
+            *("max_steps", "estimator", "record"),
+        ),
+        "plans": ("layout", "difficulty", "split"),
+        "layout": ("difficulty", "split"),
+        "task": ("difficulty",),
+        "cluster": ("jobs",),
+    }
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
-    split: str = "test"  # of the buildings: train, validation or test
-    difficulty: str = "medium"  # easy, medium, hard or huge
-    task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
+    split: SplitName = "test"  # of the buildings: train, validation or test
+    difficulty: DifficultyName = "medium"  # easy, medium, hard or huge
+    task: TaskName = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
     suite: str = (
         ""  # a frozen benchmark: active-v1, active-quick-v1, coverage-v1; fixes task, split, episodes and limits
     )
@@ -101,34 +119,26 @@ class Evaluate(WithModules):
     keeps_results = True
 
     def check(self, line: Sequence[str]) -> None:
-        """Raise `ConfigError` for a word that is not one of the known ones, too."""
-        self._refuse_contradictions(named_options(line))
-        if not self.suite:
-            self._check_words()
+        """Raise `ConfigError` for a way of reading plans without any, too."""
+        super().check(line)
+        named = named_options(line)
+        if named & READING and not named & {"plans", "layout"}:
+            name = min(named & READING).replace("_", "-")
+            raise ConfigError(f"--{name}: how a plan is read; name one with --plans or --layout")
 
     def run(self, line: Sequence[str]) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
-        from mecp_env.policies.evaluation import Evaluation
-
         if self.suite:
             return self._run_suite(line)
-        setting = self._setting(line)
-        parts = (self.policies, setting, self.episodes, self.truth, self.known, self.reference, self.trust)
-        shard = Shard.parse(self.shard)
-        evaluation = Evaluation(*parts, shard)
-        self._check(evaluation)
-        kept = evaluation.kept(self.out / "episodes")
-        collect(evaluation, kept, self.jobs, self.cluster)
-        if shard.count > 1:
-            echo(f"{len(evaluation.results)} episodes of shard {shard} are in {kept.folder}")
+        evaluation, folder = self._evaluated(self._setting(line), self.episodes, "episodes")
+        if evaluation.shard.count > 1:
+            echo(f"{len(evaluation.results)} episodes of shard {self.shard} are in {folder}")
         elif evaluation.results:
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
         return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
 
     def _setting(self, line: Sequence[str]) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
-        from mecp_env.policies.setting import Setting, plan_fields
-
         limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
         setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=self._changes(line))
         if self.plans is None and not self.layout:
@@ -162,9 +172,6 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Sequence[str]) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
-        from mecp_env.policies.leaderboard import check_name
-        from mecp_env.policies.suites import submission
-
         for name in self.policies:
             check_name(name, "policies")
         done = self.suite_rows()
@@ -179,16 +186,9 @@ class Evaluate(WithModules):
 
     def suite_rows(self) -> list[tuple[Setting, list[Row]]] | int:
         """The rows of every setting of the suite; an exit code where an episode failed, or after Ctrl-C."""
-        from mecp_env.policies.evaluation import Evaluation
-        from mecp_env.policies.suites import find_suite
-
-        suite, shard, done = find_suite(self.suite), Shard.parse(self.shard), []
+        suite, done = find_suite(self.suite), []
         for setting in suite.settings:
-            parts = (self.policies, setting, suite.episodes, self.truth, self.known, self.reference, self.trust)
-            evaluation = Evaluation(*parts, shard)
-            self._check(evaluation)
-            kept = evaluation.kept(self.out / (setting.task or setting.difficulty))
-            collect(evaluation, kept, self.jobs, self.cluster)
+            evaluation, _ = self._evaluated(setting, suite.episodes, setting.task or setting.difficulty)
             if evaluation.interrupted:
                 return INTERRUPTED
             if evaluation.failures:
@@ -197,11 +197,17 @@ class Evaluate(WithModules):
             done.append((setting, evaluation.rows()))
         return done
 
+    def _evaluated(self, setting: Setting, episodes: int, name: str) -> tuple[Evaluation, Path]:
+        """All episodes in a setting, or those of a shard, and the folder below `out` where they are kept."""
+        parts = (self.policies, setting, episodes, self.truth, self.known, self.reference, self.trust)
+        evaluation = Evaluation(*parts, Shard.parse(self.shard))
+        self._check(evaluation)
+        kept = evaluation.kept(self.out / name)
+        collect(evaluation, kept, self.jobs, self.cluster)
+        return evaluation, kept.folder
+
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
-        from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
-        from mecp_env.policies.suites import refuse_changes
-
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
@@ -211,33 +217,11 @@ class Evaluate(WithModules):
         if self.reference not in self.policies:
             print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
         evaluation.check_buildings(policies)
-        if self.json is not None and check_writable(self.json, "--json").suffix != ".json":
-            raise ConfigError(f"json: {self.json}: expected the name of a file that ends in .json")
-
-    def _refuse_contradictions(self, named: set[str]) -> None:
-        """Raise `ConfigError` for two options of which one fixes what the other selects."""
-        fixed = ((option, other) for option, others in FIXES.items() if option in named for other in others)
-        for option, other in [(option, other) for option, other in fixed if other in named]:
-            value = getattr(self, other)
-            given = f" {value}" if isinstance(value, str | int | Path) else ""
-            name = other.replace("_", "-")
-            raise ConfigError(f"--{name}{given}: --{option} {getattr(self, option)} fixes it; leave out one of the two")
-        if named & READING and not named & {"plans", "layout"}:
-            name = min(named & READING).replace("_", "-")
-            raise ConfigError(f"--{name}: how a plan is read; name one with --plans or --layout")
-
-    def _check_words(self) -> None:
-        """Raise `ConfigError` for a word that is not one of the known ones."""
-        check_word("split", self.split, SPLITS)
-        check_word("difficulty", self.difficulty, DIFFICULTIES)
-        if self.task:
-            check_word("task", self.task, TASKS)
+        if self.json is not None:
+            check_json(self.json, "json")
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
-        from mecp_env.policies.evaluation import write_result
-        from mecp_env.policies.report_table import overview, page
-
         rows = evaluation.rows()
         if not rows:
             print_error("no building was finished by every policy: nothing to compare")
@@ -252,26 +236,18 @@ class Evaluate(WithModules):
         echo(*overview(result), "", f"all tables: {self.out / 'page.md'}; written to {self.out}")
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
-        """Draw the curves, and the film; matplotlib and pygame are loaded only here."""
-        from mecp_env.policies.plots import draw_curves
-
+        """Draw the curves, and the film."""
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:
             where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
         draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
         if self.record:
-            from mecp_env.policies.evaluation import write_film
-
             names = list(dict.fromkeys(self.policies))
             write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
 
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
-    from mecp_env.core.files import write_atomic
-    from mecp_env.policies.leaderboard import reference_rows
-    from mecp_env.policies.suites import leaderboard
-
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
     table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
     echo(*table.split("\n"), f"written to {path}")
@@ -279,15 +255,10 @@ def write_submission(result: dict[str, Any], path: Path) -> None:
 
 def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) -> None:
     """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    console, total = Console(stderr=True), len(evaluation.tasks())
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
-    bar = Progress(*columns, console=console, disable=not console.is_terminal)
-    with bar, closing(evaluation.run(kept, jobs, cluster)) as results:
+    total = len(evaluation.tasks())
+    with closing(evaluation.run(kept, jobs, cluster)) as results:
         try:
-            for done, result in enumerate(bar.track(results, total, description="episodes"), start=1):
+            for done, result in enumerate(tracked(results, total, "episodes"), start=1):
                 report(result, done, total)
         except KeyboardInterrupt:
             evaluation.interrupted = True
@@ -300,3 +271,89 @@ def report(result: EpisodeResult | FailedUnit, done: int, total: int) -> None:
         print_error(f"failed: {result}")
     if not sys.stderr.isatty() and 10 * done // total > 10 * (done - 1) // total:
         print_error(f"{done} of {total} episodes")
+
+
+@dataclass(frozen=True)
+class Leaderboard(Command):
+    """One table of results of `mecp-env submit` or `mecp-env evaluate --suite` and the package's reference rows, the
+    best policy first. A file of another suite, of another version of it, or one that was changed, is refused."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env leaderboard",
+        "mecp-env leaderboard runs/mine-active-quick-v1.json",
+        "mecp-env leaderboard runs/mine/active-v1.json results/others.json --metric lost",
+    )
+
+    files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...")] = ()
+    metric: str = "correct_over_steps"  # or correct_over_metres, correct_coverage, auc, coverage, lost, complete
+    suite: str = ""  # by default that of the files, without files active-quick-v1
+    references: bool = True  # with the reference rows of the package
+
+    def run(self, line: Sequence[str]) -> int:
+        """Print the table."""
+        check_word("metric", self.metric, METRICS)
+        found = {str(path): read_submission(path) for path in self.files}
+        suite = self._suite([content["suite"] for content in found.values()])
+        rows = reference_rows(suite, SUITES[suite].frozen) if self.references else []
+        if not found and not rows:
+            raise ConfigError(f"files: expected at least one result; the package has no reference rows of {suite}")
+        echo(f"{suite}, {self.metric}", "", *leaderboard(found, self.metric, rows).split("\n"))
+        return 0
+
+    def _suite(self, named: Sequence[str]) -> str:
+        """The suite of the files and of the option. Raises `ConfigError` for several, and for an unknown one."""
+        suites = sorted({*named, *([self.suite] if self.suite else [])}) or [QUICK]
+        if len(suites) > 1:
+            raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
+        return check_word("suite", suites[0], SUITES)
+
+
+@dataclass(frozen=True)
+class Submit(WithModules):
+    """Score one policy in a frozen benchmark, write its result file, and show it beside the reference rows. A policy is
+    a shipped name, the folder of a training run, a custom class as module:Class, a model file of Stable-Baselines3
+    (.zip), or TorchScript (.pt) or ONNX (.onnx) with a JSON file beside it (docs/submissions.md). Finished episodes are
+    kept beside the file: the same command continues after a kill."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env submit my_module:MyPolicy --quick --jobs 2",
+        "mecp-env submit model.zip --trust --quick --name my-ppo --hours 2",
+        "mecp-env submit runs/my-training --suite active-v1 --jobs 8 --out results/mine.json",
+    )
+    fixes: ClassVar[Mapping[str, Sequence[str]]] = {"quick": ("suite",)}
+
+    policy: Annotated[str, tyro.conf.Positional]
+    suite: str = "active-v1"  # a frozen benchmark: active-v1, active-quick-v1 or coverage-v1
+    quick: bool = False  # the suite active-quick-v1: 20 episodes, a few minutes
+    trust: bool = False  # load model files (.zip of Stable-Baselines3, .pt), which may run arbitrary code
+    name: str = ""  # of the row in tables; by default the name of the policy, of its file or its folder
+    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = (
+        None  # of training; by default those of a run folder
+    )
+    seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # trainings that the policy was chosen from
+    jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
+    out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
+        suite, name = QUICK if self.quick else self.suite, self._name()
+        path = check_json(self.out or Path("runs") / f"{re.sub('[/:]', '-', f'{name}-{suite}')}.json", "out")
+        options = {"truth": False, "reference": self.policy, "trust": self.trust, "jobs": self.jobs}
+        done = Evaluate((self.policy,), suite=suite, out=path.with_suffix(""), **options).suite_rows()  # type: ignore[arg-type]
+        if isinstance(done, int):
+            return done
+        named = [(setting, [replace(row, policy=name) for row in rows]) for setting, rows in done]
+        training = Training(training_hours(self.policy) if self.hours is None else self.hours, self.seeds)
+        write_submission(submission(suite, named, f"mecp-env submit {shlex.join(line)}", training), path)
+        return 0
+
+    def _name(self) -> str:
+        """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""
+        path = Path(self.policy)
+        default = (path.stem if path.is_file() else path.name) if path.exists() else self.policy
+        name = check_name(self.name or default)
+        if name in (*OURS, *LEARNED) and name != self.policy:
+            raise ConfigError(f"name: {name!r} is the name of a policy of this package; choose another with --name")
+        return name

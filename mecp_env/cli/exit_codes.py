@@ -9,9 +9,9 @@ import contextlib
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, redirect_stdout, suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import gymnasium as gym
 
@@ -56,6 +56,7 @@ def unbreakable_output() -> Iterator[None]:
 
 
 FAILED, WRONG_INPUT = 1, 2  # beside 0 and INTERRUPTED
+T = TypeVar("T")
 
 
 def run_command(command: Callable[[], int]) -> int:
@@ -112,3 +113,12 @@ def print_error(what: object) -> None:
 def print_os_error(error: OSError) -> None:
     """Print which file failed, and why, on stderr."""
     print_error(f"{error.filename or 'output'}: {error.strerror}")
+
+
+def tracked(items: Iterable[T], total: int, what: str) -> Iterable[T]:
+    """The items one by one, with a bar on stderr where that is a terminal."""
+    from rich.console import Console  # the overview of all commands does without
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(items, what, total, console=console, transient=True, disable=not console.is_terminal)

@@ -1,159 +1,42 @@
-"""`mecp-env explore`: one episode of a policy, option by option.
-
-One exploration, breadth first, of which pictures, figures and paths are kept.
-"""
+"""`mecp-env explore | record-dataset`: episodes of a policy, option by option, or as a Minari dataset."""
 
 from __future__ import annotations
 
-import json
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, get_args
+from typing import Annotated, Any, ClassVar, Literal
 
+import gymnasium as gym
 import tyro
+from pydantic import Field
 
-from mecp_env.cli.base import Seed, Steps, check_folder, check_word
+from mecp_env.cli.base import Seed, Steps, check_folder, named_options
 from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
-from mecp_env.cli.exit_codes import echo, exit_code
-from mecp_env.cli.options import WithModules, check_map, named_options, save_map
-from mecp_env.cli.stopwatch import Stopwatch
-from mecp_env.core.carriers import Array, Bytes
-from mecp_env.core.errors import ConfigError
-from mecp_env.core.files import naming, write_atomic
-from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.settings import guess
-from mecp_env.env import MecpEnv
-from mecp_env.episode.tasks import TASKS
-from mecp_env.evaluation.trajectory import tum
-from mecp_env.floorplans.exporters import save_map_server, save_svg
-from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.render.curves import Moment, curves_figure, moment_of
-from mecp_env.render.figures import map_figure, save
-from mecp_env.render.film import Film
-from mecp_env.render.replay import Recorder, write_page
-from mecp_env.render.rerun_log import RerunLog
-from mecp_env.render.screen import Screen, ScreenConfig
-from mecp_env.render.shapes import SceneView, summary
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
-from mecp_env.wrappers import GoalActions, Step
-
-FILES = (  # what a run leaves behind
-    *("map.png", "curves.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"),
-    *("metrics.json", "trajectory.tum", "truth.tum", "config.json"),
+from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code, print_error
+from mecp_env.cli.options import (
+    DifficultyName,
+    Estimator,
+    SplitName,
+    TaskName,
+    WithModules,
+    check_map,
+    end_rerun,
+    rerun_log,
+    save_map,
 )
-FILM_WIDTH = 960  # px
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import guess
+from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.recording import DatasetWriter, Recording, default_name
+from mecp_env.policies.registry import KINDS, calls_of, make_policy
+from mecp_env.policies.rollout import masks_of, options_of
+from mecp_env.policies.setting import Setting
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
+from mecp_env.wrappers import EveryStep, RecordReplay
 
-
-@dataclass
-class Run:
-    """An exploration in progress, and what is kept of each of its steps."""
-
-    env: MecpEnv
-    seed: int
-    recorder: Recorder | None = field(default_factory=Recorder)  # None: no replay
-    rerun: RerunLog | None = None  # the recording of the rerun viewer, where one is wanted
-    film: Film = field(default_factory=Film)
-    screen: Screen | None = None  # of the film; made when the building is known
-    estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
-    true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
-    moments: list[Moment] = field(default_factory=list)  # what the curves show
-    ended: str = "interrupted"
-    save_map: Callable[[], None] | None = None  # called by `keep` between the data and the pictures
-
-    @property
-    def steps(self) -> int:
-        return max(len(self.estimated) - 1, 0)
-
-    def explore(self, after_step: Callable[[Run], None]) -> None:
-        """Explore to the end; `after_step` is called after every control step, and once before the first."""
-
-        def look(step: Step | None = None) -> None:
-            self.look(step[4] if step else None)
-            after_step(self)
-
-        policy, goals = BreadthFirst(), GoalActions(self.env, callback=look)
-        observation, _ = goals.reset(seed=self.seed)
-        policy.reset()
-        look()
-        terminated = truncated = False
-        while not (terminated or truncated):
-            action = policy.act(observation, goals.action_masks())
-            observation, _, terminated, truncated, info = goals.step(action)
-        self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
-
-    def look(self, info: dict[str, Any] | None = None) -> None:
-        """Keep what belongs to the present step."""
-        view = self.env.view()
-        self.estimated.append(view.slam_output.belief.T_map_robot.copy())
-        self.true.append(compose(inverse(view.T_world_map), view.T_world_robot))
-        self.moments.append(moment_of(view))
-        if self.recorder is not None:
-            self.recorder.look(view, info)
-        if self.rerun is not None:
-            self.rerun.look(view, info)
-        self.film.offer(self.steps, lambda: self.picture(view))
-
-    def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
-        """Write `FILES`, everything there is, into `folder`; returns the metrics."""
-        folder.mkdir(parents=True, exist_ok=True)
-        metrics = self.metrics(watch)
-        self._keep_data(folder, metrics)
-        self._keep_pictures(folder, self.env.view())
-        return metrics
-
-    def _keep_data(self, folder: Path, metrics: dict[str, Any]) -> None:
-        """What cannot be made again from other files comes first, so that a full disk keeps it."""
-        recipe = {"seed": self.seed, "policy": "breadth_first", "config": self.env.config.to_dict()}
-        for name, data in (("metrics.json", metrics), ("config.json", recipe)):
-            write_atomic(folder / name, (json.dumps(data, indent=2) + "\n").encode())
-        for name, poses in (("trajectory.tum", self.estimated), ("truth.tum", self.true)):
-            times = [step * self.env.config.robot.period_s for step in range(len(poses))]
-            write_atomic(folder / name, tum(times, poses).encode())
-        if self.save_map is not None:
-            self.save_map()
-
-    def _keep_pictures(self, folder: Path, view: SceneView) -> None:
-        with naming(folder / "belief.pgm"):
-            save_map_server(view.slam_output.grid, folder / "belief")
-        with naming(folder / "belief.svg"):
-            save_svg(view.slam_output.grid, folder / "belief.svg")
-        with naming(folder / "map.png"):
-            save(map_figure(view), folder / "map.png")
-        with naming(folder / "curves.png"):
-            save(curves_figure(self.title, self.env.config.robot.period_s, self.moments), folder / "curves.png")
-        self.film.frames.append(self.picture(view))  # the last step, whether its turn has come or not
-        with naming(folder / "run.gif"):
-            self.film.save(folder / "run.gif")
-        (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
-        if self.recorder is not None:
-            write_page(self.replay(), folder / "replay.html")
-
-    def picture(self, view: SceneView) -> Bytes:
-        """A frame of the film, whose size fits the building."""
-        self.screen = self.screen or Screen(ScreenConfig.around(view.bounds, FILM_WIDTH))
-        return self.screen.frame(view)
-
-    def replay(self) -> dict[str, Any]:
-        """The run as its page plays it."""
-        assert self.recorder is not None
-        found = ", ".join(f"{name} {value}" for name, value in summary(self.env.view().metrics))
-        return self.recorder.run(self.title, f"{self.ended}: {found}")
-
-    @property
-    def title(self) -> str:
-        """The building, the estimator and the seed."""
-        return f"{self.env.view().title.partition(', step')[0]}, seed {self.seed}"
-
-    def metrics(self, watch: Stopwatch) -> dict[str, Any]:
-        """The figures of the run so far, measured on the truth, and its times."""
-        times = {name: round(value, 1) for name, value in watch.microseconds().items()}
-        speed = {"steps_per_s": round(watch.steps_per_s, 1), "us_per_period": times}
-        return {"ended": self.ended, **self.env.summary(), **speed}
-
-
-Estimator = Literal["slam", "known", "truth"]
-Start = Literal["layout", "random"]
+FOLDER = "MINARI_DATASETS_PATH"  # of minari; without it, .minari/datasets in the home folder
 EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task in place of the difficulty"
 
 
@@ -171,18 +54,20 @@ class Explore(WithModules):
         "mecp-env explore nearest --layout office --save-map office.zip",
         "mecp-env explore runs/my-training --layout hard:7 --estimator truth",
     )
-    choices: ClassVar[Mapping[str, Sequence[str]]] = {"--estimator": get_args(Estimator), "--start": get_args(Start)}
+    fixes: ClassVar[Mapping[str, Sequence[str]]] = {"layout": ("difficulty", "task"), "task": ("difficulty",)}
 
     policy: Annotated[str, tyro.conf.Positional]
     # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, TASK:SPLIT:NUMBER, or the path of a plan
     layout: str = "paper"
-    difficulty: str = ""  # easy, medium, hard or huge, in place of --layout: the building with the number of --seed
-    task: str = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
-    split: str = "test"  # of these buildings: train, validation or test
+    # easy, medium, hard or huge, in place of --layout: the building with the number of --seed
+    difficulty: DifficultyName = ""
+    task: TaskName = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
+    split: SplitName = "test"  # of these buildings: train, validation or test
     seed: Seed = 0  # of start, noise and policy
     steps: Steps | None = None  # control steps of 0.4 s, at most; by default 3000, in a task 1500
     estimator: Estimator = "slam"  # known: known correspondences; truth: ground-truth pose
-    start: Start | None = None  # random: anywhere in free space; by default layout, in a task random
+    # random: anywhere in free space; by default layout, in a task random
+    start: Literal["layout", "random"] | None = None
     replay: Path | None = None  # folder for the page that plays the episode
     rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
     save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
@@ -190,14 +75,9 @@ class Explore(WithModules):
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
     def check(self, line: Sequence[str]) -> None:
-        """Raise `ConfigError` for two options that select the building, and for an unknown word."""
+        """Raise `ConfigError` for a split of no buildings, too."""
+        super().check(line)
         named = named_options(line)
-        ways = [name for name in ("layout", "difficulty", "task") if name in named]
-        if len(ways) > 1:
-            raise ConfigError(f"--{ways[1]}: --{ways[0]} selects the building, too; leave out one of the two")
-        for name, known in (("difficulty", DIFFICULTIES), ("task", TASKS), ("split", SPLITS)):
-            if name in named:
-                check_word(name, getattr(self, name), known)
         if "split" in named and not {"difficulty", "task"} & named:
             raise ConfigError(f"--split {self.split}: of the buildings of --difficulty or --task; name one")
 
@@ -207,13 +87,6 @@ class Explore(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Run the episode; one line per drive, then the metrics."""
-        import gymnasium as gym
-
-        from mecp_env.cli.options import end_rerun, rerun_log
-        from mecp_env.policies.registry import calls_of, make_policy
-        from mecp_env.policies.rollout import masks_of, options_of
-        from mecp_env.wrappers import EveryStep, RecordReplay
-
         building, options = self._building()
         check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
@@ -256,11 +129,10 @@ class Explore(WithModules):
 
     def _generated(self, difficulty: str, split: str, number: str) -> tuple[dict[str, Any], dict[str, int] | None]:
         """As `_building`, of a generated building."""
-        for word, known in ((difficulty, (*DIFFICULTIES, *TASKS)), (split, SPLITS)):
-            if word not in known:
-                raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{guess(word, known)}")
-        if not number.isdecimal():
-            raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}")
+        known = [(difficulty, (*DIFFICULTIES, *TASKS)), (split, SPLITS)]
+        wrong = [guess(word, words) for word, words in known if word not in words]
+        if wrong or not number.isdecimal():
+            raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{''.join(wrong[:1])}")
         rooms = {"id": "mecp_env/Rooms-v0", "difficulty": difficulty}
         buildings = {"id": f"mecp_env/{difficulty}"} if difficulty in TASKS else rooms
         return buildings | {"split": split}, {"building": int(number)}
@@ -268,8 +140,6 @@ class Explore(WithModules):
 
 def drive_line(goals: Any, row: int, info: Mapping[str, Any]) -> str:
     """The result of a drive to a goal, of the environment's `Goals` when it was chosen."""
-    from mecp_env.policies.registry import KINDS
-
     where = f"no goal in row {row}"
     if row < len(goals):
         where = f"{KINDS[goals.kind[row]]} of room {goals.room[row]}, {goals.path_m[row]:.1f} m away"
@@ -281,3 +151,56 @@ def end_line(terminated: bool, info: Mapping[str, Any]) -> str:
     """How the episode ended."""
     reason = "no goal is left" if terminated else "the filter diverged" if info["diverged"] else "out of steps"
     return f"{reason} after {info['period']} control steps"
+
+
+@dataclass(frozen=True)
+class RecordDataset(WithModules):
+    """Record episodes of a policy as a Minari dataset, one building per episode. A policy is random_goal,
+    random_walk, bfs, nearest, gain, maskable_ppo, the folder of a training run, or a custom class as module:Class."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env record-dataset bfs --episodes 100",
+        "mecp-env record-dataset gain --actions velocity --difficulty easy",
+        "mecp-env record-dataset maskable_ppo --observation dict --out runs/datasets",
+        "mecp-env record-dataset nearest --task ActiveHalls-v0 --name my/halls-v0",
+    )
+    fixes: ClassVar[Mapping[str, Sequence[str]]] = {"task": ("difficulty",)}
+
+    policy: Annotated[str, tyro.conf.Positional]
+    observation: Literal["flat", "dict", "image"] = "flat"  # format of the observations (docs/observations.md)
+    actions: Literal["own", "velocity"] = "own"  # velocity: every control step of a policy that selects goals
+    episodes: Annotated[int, Field(ge=1, le=1_000_000)] = 20
+    seed: Seed = 0  # number of the first building, and seed of its start and noise; the next ones follow
+    difficulty: DifficultyName = "medium"  # easy, medium, hard or huge
+    split: SplitName = "train"  # of the buildings: train, validation or test
+    task: TaskName = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
+    estimator: Estimator = "slam"
+    max_steps: Steps = 3000  # control steps of 0.4 s per episode, at most
+    name: str = ""  # id of the dataset, as my/rooms-v0; by default from the options
+    out: Path | None = None  # folder of the datasets; by default that of minari
+    trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Record the episodes; after Ctrl-C the dataset has those that were finished."""
+        if self.out is not None:
+            os.environ[FOLDER] = str(check_folder(self.out).absolute())
+        setting = Setting(self.difficulty, self.split, self.estimator, self.max_steps, self.task)
+        policy = make_policy(self.policy, self.trust)
+        recording = Recording(policy, setting, self.observation, "" if self.actions == "own" else self.actions)
+        name = self.name or default_name(self.policy, recording)
+        writer = DatasetWriter(name, recording, self.policy)
+        code = 0
+        try:
+            for done, rows in enumerate(recording.episodes(self.seed, self.episodes), start=1):
+                writer.add(rows)
+                last = rows.infos[-1]
+                echo(f"{done:6d} of {self.episodes}: {len(rows.actions):5d} actions, {last['coverage']:7.1%} seen")
+        except KeyboardInterrupt:
+            print_error("interrupted")
+            code = INTERRUPTED
+        if writer.dataset is not None:
+            count, steps = writer.dataset.total_episodes, writer.dataset.total_steps
+            echo(f"{name}: {count} episodes, {steps} actions in {writer.path}")
+        return code

@@ -13,7 +13,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import Command, gathered
+from mecp_env.cli.base import Command, gathered, words_of
 from mecp_env.cli.exit_codes import (
     WRONG_INPUT,
     at_end,
@@ -29,26 +29,26 @@ from mecp_env.core.settings import Settings, describe
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
     "demo": ("demo", "Demo", "explore a building by the robot's own map; keep pictures and figures"),
-    "replay": ("replay", "Replay", "the page that plays a kept run, and shows why the robot believes what it does"),
-    "one-scan": ("one_scan", "OneScan", "follow one scan through the stages, with a picture each"),
+    "replay": ("demo", "Replay", "the page that plays a kept run, and shows why the robot believes what it does"),
+    "one-scan": ("demo", "OneScan", "follow one scan through the stages, with a picture each"),
     "slam": ("slam", "Slam", "map a recorded log: CARMEN, a ROS bag or an .npz; keep pictures and figures"),
-    "export": ("export", "Export", "landmarks, rooms, graph and grid of a saved map for other programs"),
+    "export": ("slam", "Export", "landmarks, rooms, graph and grid of a saved map for other programs"),
     "explore": ("explore", "Explore", "one episode of a policy: a line per drive, and the metrics"),
     "evaluate": ("evaluate", "Evaluate", "compare policies in the same buildings: tables, curves, a film"),
-    "submit": ("submit", "Submit", "score one policy in a frozen benchmark; write its result file"),
-    "leaderboard": ("submit", "Leaderboard", "one table of several results of a frozen benchmark"),
-    "record-dataset": ("record_dataset", "RecordDataset", "episodes of a policy as a Minari dataset"),
+    "submit": ("evaluate", "Submit", "score one policy in a frozen benchmark; write its result file"),
+    "leaderboard": ("evaluate", "Leaderboard", "one table of several results of a frozen benchmark"),
+    "record-dataset": ("explore", "RecordDataset", "episodes of a policy as a Minari dataset"),
     "train": ("train", "Train", "train a policy, or resume a run"),
     "play": ("play", "Play", "drive by keyboard: ground truth on the left, the estimate on the right"),
     "warmup": ("warmup", "WarmUp", "compile ahead, on all cores; once per installation"),
     "doctor": ("doctor", "Doctor", "check the installation, and drive for two seconds"),
-    "completion": ("completion", "Completion", "complete commands and options in bash, zsh or fish"),
-    "worlds list": ("worlds_files", "List", "the buildings there are, shipped and generated"),
-    "worlds draw": ("worlds_files", "Draw", "floor plans as PNG or SVG; several on a sheet"),
-    "worlds generate": ("worlds_make", "Generate", "new buildings from a specification and seeds"),
-    "worlds validate": ("worlds_files", "Validate", "whether files are sound, or what is wrong and where"),
-    "worlds convert": ("worlds_files", "Convert", "from one format to another"),
-    "worlds stats": ("worlds_make", "Stats", "rooms, doors, loops, corners... in a table"),
+    "completion": ("doctor", "Completion", "complete commands and options in bash, zsh or fish"),
+    "worlds list": ("worlds", "List", "the buildings there are, shipped and generated"),
+    "worlds draw": ("worlds", "Draw", "floor plans as PNG or SVG; several on a sheet"),
+    "worlds generate": ("worlds", "Generate", "new buildings from a specification and seeds"),
+    "worlds validate": ("worlds", "Validate", "whether files are sound, or what is wrong and where"),
+    "worlds convert": ("worlds", "Convert", "from one format to another"),
+    "worlds stats": ("worlds", "Stats", "rooms, doors, loops, corners... in a table"),
 }
 GROUPS = {words.partition(" ")[0] for words in COMMANDS if " " in words}
 WIDEST = max(map(len, COMMANDS))
@@ -120,22 +120,27 @@ def parse(words: str, line: list[str]) -> Command:
     """
     import tyro  # the overview does without
 
+    from mecp_env.cli.options import hints
+
     kind = load(words)
-    import_modules(kind.own_modules(line))
+    import_modules(words_of(line, "--with"))  # they register names that options may have
     line = kind.completed(gathered(line))
-    for hint in kind.hints(line):
-        print_error(hint)
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
     examples = "\n".join(f"  {example}" for example in kind.examples)
     default: Any = kind.defaults(line)  # None: tyro takes those of the class
-    chosen: Command = tyro.cli(
-        kind,
-        prog=f"mecp-env {words}",
-        description=f"{about}\n\nExamples:\n{examples}",
-        args=line,
-        default=default,
-        config=(tyro.conf.AvoidSubcommands,),
-    )
+    try:
+        chosen: Command = tyro.cli(
+            kind,
+            prog=f"mecp-env {words}",
+            description=f"{about}\n\nExamples:\n{examples}",
+            args=line,
+            default=default,
+            config=(tyro.conf.AvoidSubcommands,),
+        )
+    except SystemExit as end:
+        for hint in hints(kind, line) if end.code else ():
+            print_error(hint)
+        raise
     try:
         command = TypeAdapter(kind).validate_python(vars(chosen))
     except ValidationError as error:

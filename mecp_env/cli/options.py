@@ -1,34 +1,55 @@
-"""Options that several commands share: fields of a configuration, `--save-map`, `--with`, `--rerun`.
-
-Fields of a configuration as options: only those that the command line names are set.
-
-The option `--save-map`: the map that the robot made, in a file.
-
-The option `--with`: modules of the user that register custom parts by name.
-
-The option `--rerun`: the run as a recording of the rerun viewer.
-"""
+"""Options that several commands share: fields of a configuration, `--with`, `--save-map`, `--rerun`, words."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import tyro
-from pydantic import model_validator
+from pydantic import BaseModel, model_validator
 
-from mecp_env.cli.base import Command, check_writable
+from mecp_env.cli.base import Command, check_writable, one_of
 from mecp_env.cli.buildings import spare_sources
 from mecp_env.cli.exit_codes import echo, print_error
 from mecp_env.config import EnvConfig, Number, RewardConfig, merge
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.files import exists
-from mecp_env.core.settings import Settings
+from mecp_env.core.settings import Settings, guess
+from mecp_env.episode.tasks import TASKS
 from mecp_env.render.rerun_log import RerunLog, rerun_library
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 from mecp_env.world.schema import Layout
+
+Estimator = Literal["slam", "known", "truth"]
+DifficultyName = Annotated[str, one_of("difficulty", DIFFICULTIES)]  # or empty
+SplitName = Annotated[str, one_of("split", SPLITS)]
+TaskName = Annotated[str, one_of("task", TASKS)]
+
+
+def hints(kind: type[Command], line: Sequence[str]) -> list[str]:
+    """What was probably meant by words that an option does not take."""
+    known = dict(choices(kind))
+    pairs = [(name, word) for name, word in pairwise(line) if word not in known.get(name, (word,))]
+    return [f"{name} {word}{found}" for name, word in pairs if (found := guess(word, known[name]))]
+
+
+def choices(kind: Any, prefix: str = "--") -> Iterator[tuple[str, tuple[str, ...]]]:
+    """Every option below a class that takes one of a few words, with these words."""
+    for name, annotation in get_type_hints(kind, include_extras=True).items():
+        plain, *marks = get_args(annotation) if get_origin(annotation) is Annotated else (annotation,)
+        option = f"{prefix}{name.replace('_', '-')}"
+        if is_dataclass(plain) or (isinstance(plain, type) and issubclass(plain, BaseModel)):
+            yield from choices(plain, prefix if tyro.conf.OmitArgPrefixes in marks else f"{option}.")
+        elif words := _words(plain):
+            yield option, words
+
+
+def _words(annotation: Any) -> tuple[str, ...]:
+    parts = get_args(annotation)
+    return parts if get_origin(annotation) is Literal else tuple(word for part in parts for word in _words(part))
 
 
 class Fields(EnvConfig):
@@ -57,12 +78,6 @@ class EnvironmentFields(Fields):
 
 
 EnvironmentFields.__name__ = "--env"
-
-
-def named_options(line: Sequence[str]) -> set[str]:
-    """The options that a line names, each without what follows a dot: `{"env", "max_steps"}`."""
-    words = [word for word in line if word.startswith("--")]
-    return {word[2:].partition("=")[0].partition(".")[0].replace("-", "_") for word in words}
 
 
 def with_reward_preset(line: Sequence[str]) -> list[str]:
@@ -110,18 +125,13 @@ def check_map(path: Path | None, layout: str, estimator: str) -> None:
     if path is None:
         return
     spare_sources([check_writable(path, "--save-map")], [layout])
-    if exists(path):
-        replaceable(path)
     if estimator == "known":
         raise ConfigError(f"--save-map: {path}: a map of the estimator 'known' localises with ground truth only")
-
-
-def replaceable(path: Path) -> None:
-    """Raise `ConfigError` unless a file is a map of this version."""
     from mecp_env.slam.map_file import MapError, SlamMap  # compiled functions are loaded only where a map is read
 
     try:
-        SlamMap.load(path)
+        if exists(path):
+            SlamMap.load(path)
     except MapError as error:
         raise ConfigError(f"--save-map: {error}; name another file") from None
 
@@ -135,17 +145,12 @@ def save_map(owner: Any, path: Path | None) -> bool:
         return True
     try:
         owner.save_map(path)
-    except MecpError as error:
-        print_error(f"--save-map: {path} was not written: {error}")
-        return False
-    except OSError as error:
-        print_error(f"--save-map: {path} was not written: {error.strerror}")
+    except (MecpError, OSError) as error:
+        reason = error.strerror if isinstance(error, OSError) else error
+        print_error(f"--save-map: {path} was not written: {reason}")
         return False
     echo(f"map: {path}")
     return True
-
-
-OPTION = "--with"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -158,27 +163,15 @@ class WithModules(Command):
     @classmethod
     def completed(cls, line: Sequence[str]) -> list[str]:
         """The line with the preset of the reward that weights without one stand for."""
-        if not any(".reward." in word for word in line):
-            return list(line)
-        from mecp_env.cli.options import with_reward_preset
-
         return with_reward_preset(line)
-
-    @classmethod
-    def own_modules(cls, line: Sequence[str]) -> list[str]:
-        after = [word for option, word in pairwise(line) if option == OPTION]
-        return [*after, *(word.partition("=")[2] for word in line if word.startswith(f"{OPTION}="))]
-
-
-SUFFIX = ".rrd"
 
 
 def rerun_log(path: Path | None, period_s: float = 0.4) -> RerunLog | None:
     """The recording at `path`; None where none is wanted. Raises `ConfigError` where it cannot be written."""
     if path is None:
         return None
-    if path.suffix != SUFFIX:
-        raise ConfigError(f"--rerun: {path}: expected a file name that ends in {SUFFIX}")
+    if path.suffix != ".rrd":
+        raise ConfigError(f"--rerun: {path}: expected a file name that ends in .rrd")
     try:
         rerun_library()
         return RerunLog(check_writable(path, "--rerun"), period_s)

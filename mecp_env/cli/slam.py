@@ -1,4 +1,4 @@
-"""`mecp-env slam`: the estimator on a recorded log."""
+"""`mecp-env slam | export`: the estimator on a recorded log, and what is in a saved map, for other programs."""
 
 from __future__ import annotations
 
@@ -6,24 +6,29 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 from pydantic import Field
+from rich.console import Console
+from rich.table import Table
 
-from mecp_env.cli.base import Seed, check_folder
+from mecp_env.cli.base import Command, Seed, check_folder, check_writable
+from mecp_env.cli.buildings import spare_sources
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, exit_code, print_error
-from mecp_env.cli.options import WithModules, named_fields
+from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map
+from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
+from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
+from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, Calibration, calibrate_log
+from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRun, LogRunConfig, config_for, fault_of
+from mecp_env.logs import Log, ReadOptions, read_log
+from mecp_env.logs.laser_check import laser_fault
+from mecp_env.slam import SlamMap, SlamPipeline
 from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.export import checked
+from mecp_env.slam.map_file import MapStart
 from mecp_env.world.config import OdometryConfig
-
-if TYPE_CHECKING:
-    from mecp_env.evaluation.calibration import Calibration
-    from mecp_env.evaluation.log_run import LogRun, LogRunConfig
-    from mecp_env.logs import Log
-    from mecp_env.slam import SlamPipeline
-    from mecp_env.slam.map_file import MapStart
 
 POSE = "expected saved, unknown or a pose as X,Y,HEADING in m and rad"
 
@@ -88,14 +93,8 @@ class Slam(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
-        from mecp_env.cli.buildings import spare_sources
-        from mecp_env.cli.log_files import FILES, LogFiles, MappingBar, print_calibration, print_result
-        from mecp_env.cli.options import check_map, end_rerun, rerun_log, save_map
-        from mecp_env.core import warm_up
-        from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
-
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
-        spare_sources([folder / name for name in FILES], [str(path) for path in (self.log, self.from_map) if path])
+        spare_sources([folder / name for name in LOG_FILES], [str(path) for path in (self.log, self.from_map) if path])
         check_map(self.save_map, str(self.log), "slam")
         log, fault = self._checked(self._read())
         pipeline, calibration = self._estimator(log, fault, line)
@@ -108,22 +107,21 @@ class Slam(WithModules):
         planned = len(drive.planned())
         warm_up.prepare()
         files = LogFiles(log, planned, rerun_log(self.rerun))
-        with MappingBar(log.name, planned) as bar, suppress(KeyboardInterrupt):
+        with files.bar() as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():
                 files.look(output, drive.rows[-1])
-                bar.show(output)
+                bar.show(len(files.path), files.state)
         end_rerun(files.rerun, self.rerun)
         if drive.output is None and drive.ended == "interrupted":
             return INTERRUPTED
         run = drive.result()
         saved = save_map(run.pipeline, self.save_map)
-        print_result(files.keep(folder, run, self._recipe(run, options)), folder)
+        metrics = files.keep(folder, run, self._recipe(run, options))
+        print_figures(f"log {run.ended}", metrics, folder)
         return exit_code(self._ended(run, options), saved)
 
     def _ended(self, run: LogRun, options: LogRunConfig) -> int:
         """The exit code, with the reason where the result is of no use."""
-        from mecp_env.evaluation.log_run import fault_of
-
         fault = fault_of(run, options)
         if fault is not None:
             print_error(f"{self.log}: {fault}")
@@ -137,8 +135,6 @@ class Slam(WithModules):
 
     def _checked(self, log: Log) -> tuple[Log, str | None]:
         """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
-        from mecp_env.logs.laser_check import laser_fault
-
         fault = laser_fault(log) if self._is_measured else None
         said = () if fault is None else (f"warning: {fault}",)
         echo(*said)
@@ -146,22 +142,9 @@ class Slam(WithModules):
 
     def _read(self) -> Log:
         """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
-        from mecp_env.logs import ReadOptions, read_log
-
-        log = read_log(
-            self.log,
-            ReadOptions(
-                scan_topic=self.scan_topic or None,
-                scan_frame=self.scan_frame,
-                clock=self.clock,
-                mirror=self.mirror,
-                laser_yaw_deg=self.laser_yaw_deg,
-                use_odometry=self.odometry != "none",
-                odometry_topic=self.odometry_topic,
-                max_range_m=self.max_range_m,
-                field_of_view_deg=self.field_of_view_deg,
-            ),
-        )
+        given = {name: value for name, value in vars(self).items() if name in ReadOptions.model_fields}
+        given |= {"scan_topic": self.scan_topic or None, "use_odometry": self.odometry != "none"}
+        log = read_log(self.log, ReadOptions(**given))
         echo(*(f"note: {note}" for note in log.notes))
         return log
 
@@ -170,9 +153,6 @@ class Slam(WithModules):
 
         Raises `ConfigError` and `MapError`.
         """
-        from mecp_env.evaluation.log_run import config_for
-        from mecp_env.slam import SlamPipeline
-
         fields = named_fields(self.config, line, "--config.")
         if self.from_map is None:
             if self.start != "saved":
@@ -192,17 +172,14 @@ class Slam(WithModules):
 
         `config` describes the laser; fields of `sensor` are kept.
         """
-        from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, calibrate_log
-
         noise = named_fields(self.noise, line, "--noise.")
         if self.noise_from == "auto" and self._is_measured and log.T_odom_robot is not None:
             given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
             return calibrate_log(log, config, given, noise, fault)
         useless = [name for name in CORRECTIONS if name in noise]
         if useless:
-            raise ConfigError(
-                f"--noise: {', '.join(useless)} given, but only --noise auto corrects odometry of the log"
-            )
+            said = ", ".join(useless)
+            raise ConfigError(f"--noise: {said} given, but only --noise auto corrects odometry of the log")
         return None
 
     def _start(self) -> MapStart:
@@ -227,3 +204,82 @@ class Slam(WithModules):
         found = {} if run.calibration is None else {"odometry": run.calibration.odometry.model_dump()}
         config = run.pipeline.config.model_dump()
         return {"log": str(self.log), **start, "run": options.model_dump(), **found, "config": config}
+
+
+UNITS = {  # of the fields of a calibration; the others have none
+    "turn_bias_deg_per_m": "deg per m",
+    "x_m": "m",
+    "heading_deg": "deg",
+    "distance_sigma_m": "m per sqrt(m)",
+    "distance_sigma_turning_m": "m per sqrt(rad)",
+    "turn_sigma_deg": "deg per sqrt(m)",
+    "turn_sigma_turning_deg": "deg per sqrt(rad)",
+    "range_sigma_m": "m",
+}
+COLUMNS: dict[str, Literal["left", "right"]] = {
+    "field": "left",
+    "value": "right",
+    "sigma": "right",
+    "unit": "left",
+    "source": "left",
+}
+
+
+def print_calibration(calibration: Calibration | None) -> None:
+    """Print each value with its standard deviation and source, and why defaults are used; nothing without one."""
+    if calibration is None:
+        return
+    title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
+    table = Table(title=title, title_justify="left")
+    for column, side in COLUMNS.items():
+        table.add_column(column, justify=side)
+    for name, estimate in calibration.estimates.items():
+        sigma = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
+        table.add_row(name, f"{estimate.value:.4f}", sigma, UNITS.get(name, ""), estimate.source)
+    if calibration.range_noise_m is not None:
+        table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
+    Console().print(table)
+    echo(*(f"note: {note}" for note in calibration.notes))
+
+
+@dataclass(frozen=True)
+class Export(Command):
+    """Write landmarks, rooms, a graph or the grid of a saved map (--save-map) for other programs."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env export map.zip --landmarks x.csv --rooms x.geojson",
+        "mecp-env export map.zip --joint-covariance x.npz",
+    )
+
+    source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]
+    landmarks: Path | None = None  # .csv: position and covariance of each landmark
+    joint_covariance: Path | None = None  # .npz or .csv: of the pose and all landmarks
+    rooms: Path | None = None  # .geojson: outlines of rooms and doors, in metres of the map frame
+    g2o: Path | None = None  # .g2o: the pose and the landmarks as a graph
+    grid: Path | None = None  # .yaml: the grid for map_server, with its .pgm beside it
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Read the map, write every file that is asked for, a line each."""
+        wanted = {name: path for name in NAMES if (path := getattr(self, name)) is not None}
+        if not wanted:
+            raise ConfigError(f"export: name what to write, one or more of {', '.join(map(option, NAMES))}")
+        checked({**wanted})
+        for name, path in wanted.items():
+            check_writable(path, option(name))
+        images = [self.grid.with_suffix(".pgm")] if self.grid is not None else []
+        spare_sources([*wanted.values(), *images], [str(self.source)])
+        pipeline = SlamMap.load(self.source).restore(SlamPipeline)
+        for name, path in wanted.items():
+            pipeline.export(**{name: path})
+            echo(f"{name}: {path}")
+        return 0
+
+
+def option(name: str) -> str:
+    """The option of a field."""
+    return f"--{name.replace('_', '-')}"
+
+
+NAMES = ("landmarks", "joint_covariance", "rooms", "g2o", "grid")

@@ -148,8 +148,8 @@ def test_difficulty_task_and_split_name_the_building_that_evaluate_names(capsys:
 @pytest.mark.parametrize(
     ("line", "told"),
     [
-        ("--layout paper --difficulty hard", "--difficulty: --layout selects the building, too"),
-        ("--difficulty hard --task ActiveHalls-v0", "--task: --difficulty selects the building, too"),
+        ("--layout paper --difficulty hard", "--difficulty hard: --layout paper fixes it"),
+        ("--difficulty hard --task ActiveHalls-v0", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
         ("--difficulty hrd", "did you mean 'hard'?"),
         ("--task ActiveHall-v0", "did you mean 'ActiveHalls-v0'?"),
         ("--difficulty hard --split tst", "did you mean 'test'?"),

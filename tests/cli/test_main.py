@@ -18,9 +18,8 @@ from rich.console import Console
 import mecp_env
 from mecp_env.cli import main as cli
 from mecp_env.cli.demo import Demo
-from mecp_env.cli.explore import Run
 from mecp_env.cli.options import Fields, configuration
-from mecp_env.cli.progress import ExplorationBar, print_result, status
+from mecp_env.cli.runs import BESIDE, Bar, Run, print_figures, status
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
@@ -145,7 +144,7 @@ def test_the_demo_explores_the_small_layout_completely(kept: Path) -> None:
 
 
 def test_one_of_a_kind_is_told_as_one(kept: Path, capsys: Said) -> None:
-    print_result(json.loads((kept / "metrics.json").read_text()) | {"duplicates": 1.0, "contacts": 1.0}, kept)
+    print_figures("", json.loads((kept / "metrics.json").read_text()) | {"duplicates": 1.0, "contacts": 1.0}, kept)
     said = capsys.readouterr().out
     assert "duplicates 1 " in said
     assert "contacts 1 " in said
@@ -323,7 +322,7 @@ def test_ctrl_c_ends_with_130(monkeypatch: pytest.MonkeyPatch) -> None:
     def stop(*_: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("mecp_env.cli.one_scan.recognition", stop)
+    monkeypatch.setattr("mecp_env.cli.demo.recognition", stop)
     assert cli.main(["one-scan"]) == 130
 
 
@@ -355,10 +354,9 @@ def test_a_field_set_to_its_default_is_set() -> None:
 
 def test_the_progress_shows_everything_in_80_columns() -> None:
     metrics = {"rooms_found": 12, "rooms": 12, "doors_found": 12, "doors": 12, "coverage": 1.0, "pose_error_m": 1.234}
-    run, out = Run(MecpEnv(layout="two_rooms"), 0), io.StringIO()
-    bar = ExplorationBar(run, Stopwatch(), Console(file=out, width=80, force_terminal=True))
-    with bar:
-        bar.update(bar.task, completed=1.0, description=status(metrics, 12345.0))
+    out = io.StringIO()
+    with Bar("exploring", 1.0, *BESIDE, console=Console(file=out, width=80, force_terminal=True)) as bar:
+        bar.show(10, lambda: (1.0, status(metrics, 12345.0)))
     assert "rooms 12/12 doors 12/12 seen 100.0% error 123.4 cm 12,345 steps/s" in out.getvalue()
 
 

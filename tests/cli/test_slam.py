@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mecp_env.cli import log_files
 from mecp_env.cli import main as cli
+from mecp_env.cli import runs
 from mecp_env.floorplans import load_plan
 from mecp_env.slam.map_file import MapError, SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
@@ -34,7 +34,7 @@ FILES = (
 def short_films() -> Iterator[None]:
     """Films of a few frames: to draw them is most of the time of a run."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(log_files, "FRAMES", 20)
+        patch.setattr(runs, "FRAMES", 20)
         yield
 
 
@@ -289,7 +289,7 @@ def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pyte
     def save(*_: object) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(log_files, "save", save)
+    monkeypatch.setattr(runs, "save", save)
     out, saved = tmp_path / "run", tmp_path / "map.zip"
     assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 2
     assert {"metrics.json", "config.json", "trajectory.tum", "truth.tum"} <= {path.name for path in out.iterdir()}

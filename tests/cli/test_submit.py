@@ -133,7 +133,7 @@ def test_a_file_never_replaces_a_reference_and_one_that_repeats_it_is_left_out()
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--suite active-v1 --quick", "--suite active-v1: --quick selects active-quick-v1"),
+        ("--suite active-v1 --quick", "--suite active-v1: --quick fixes it; leave out one of the two"),
         ("--suite active-v9", "did you mean 'active-v1'"),
         ("--quick --out x.txt", "x.txt: expected the name of a file that ends in .json"),
         ("--quick --hours nan", "--hours"),

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from mecp_env.cli import main as cli
-from mecp_env.cli import worlds_make
+from mecp_env.cli import worlds
 from mecp_env.cli.buildings import Reading, expand
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.generator import GeneratorSpec, generate
@@ -165,8 +165,8 @@ def test_figures_are_told_as_a_table(capsys: Said) -> None:
 
 
 def test_a_median_between_two_counts_is_told_as_such(monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
-    figures = [dict.fromkeys(worlds_make.COLUMNS, 1) | {"loops": n, "faces": 19999 + n} for n in (0, 1)]
-    monkeypatch.setattr(worlds_make, "measure", lambda words, reading: {"easy": figures})
+    figures = [dict.fromkeys(worlds.COLUMNS, 1) | {"loops": n, "faces": 19999 + n} for n in (0, 1)]
+    monkeypatch.setattr(worlds, "measure", lambda words, reading: {"easy": figures})
     assert run("stats", "easy:0-1") == 0
     assert {"0.5", "0-1", "19999.5", "19999-20000"} <= set(capsys.readouterr().out.split())
 
@@ -244,7 +244,7 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
         (["convert", "paper", "map.yaml", "--map-resolution-m", "0.5"], "mecp-env: map_resolution_m: "),
         (["convert", "paper", "new/below/map.yaml", "--map-resolution-m", "0.5"], "mecp-env: map_resolution_m: "),
         (["draw", "easy:99999999999999999999"], "18 digits at most"),
-        (["convert", "easy:0-1", "two.json"], "easy:0 and 1 more, one building is converted"),
+        (["convert", "easy:0-1", "two.json"], "source: easy:0-1 is 2 buildings; name one building, as easy:0"),
     ],
 )
 def test_wrong_input_ends_with_2_and_one_line_and_leaves_nothing(

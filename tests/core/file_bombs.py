@@ -36,7 +36,7 @@ READERS = {  # kind -> name of the file, and what reads it
     "layout": ("a.json", "from mecp_env.world.layout import load_layout as read"),
     "plan": ("a.json", "from mecp_env.floorplans import load_plan as read"),
     "submission": ("a.json", "from mecp_env.policies.suites import read_submission as read"),
-    "run": ("config.json", "from mecp_env.cli.replay import recipe_of; read = lambda path: recipe_of(path.parent)"),
+    "run": ("config.json", "from mecp_env.cli.demo import recipe_of; read = lambda path: recipe_of(path.parent)"),
 }
 
 

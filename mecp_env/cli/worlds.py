@@ -1,0 +1,388 @@
+"""`mecp-env worlds list | draw | generate | validate | convert | stats`: buildings as files, pictures and figures."""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from statistics import fmean, median
+from typing import Annotated, Any, ClassVar, Literal, Self
+
+import tyro
+from pydantic import Field
+from rich.box import SIMPLE_HEAD
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from mecp_env.cli.base import Command, Seed, check_folder, check_writable, words_of
+from mecp_env.cli.buildings import (
+    NONE_GIVEN,
+    Buildings,
+    Reading,
+    ReadingOptions,
+    counted,
+    expand,
+    expand_all,
+    load,
+    one,
+    spare_sources,
+    stem,
+)
+from mecp_env.cli.exit_codes import WRONG_INPUT, echo, tracked
+from mecp_env.core.errors import ConfigError, LayoutError, MecpError
+from mecp_env.core.files import is_folder, naming, sanitised, write_atomic
+from mecp_env.floorplans.exporters import save_map_server, save_svg
+from mecp_env.floorplans.folder import left_out
+from mecp_env.floorplans.plan_view import floor_plan
+from mecp_env.render.plan_figures import check_count, check_format, save_plans
+from mecp_env.world.generator import generate
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, split_seed
+from mecp_env.world.layout import load_layout, shipped_layouts
+from mecp_env.world.schema import Layout
+from mecp_env.world.statistics import building_figures
+
+In = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="IN")]
+Out = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
+
+
+@dataclass(frozen=True)
+class List(Command):
+    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds."""
+
+    examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Print a table of each, and the splits."""
+        console = Console()
+        console.print(_shipped(), _presets())
+        splits = ", ".join(f"{seeds[0]} to {seeds[-1]} for {name}" for name, seeds in SPLITS.items())
+        console.print(f"Seeds, so that results compare: {splits}.")
+        return 0
+
+
+@dataclass(frozen=True)
+class Validate(Command):
+    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds validate my-house.json",
+        "mecp-env worlds validate runs/worlds",
+    )
+
+    files: Buildings  # files, folders, or any building as for draw
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Check every file, a line each."""
+        if not self.files:
+            raise ConfigError(NONE_GIVEN)
+        found = [sound(word, self.reading) for word in self.files]
+        return 0 if all(found) else WRONG_INPUT
+
+
+def sound(word: str, reading: Reading) -> bool:
+    """Whether a building is sound, or all of a series or folder; prints a line for each, with the reason if not."""
+    try:
+        singles = expand(word, reading)
+        if word and is_folder(word):
+            _tell_left_out(Path(word), reading)
+        if singles != [word]:
+            return not [single for single in singles if not sound(single, reading)]
+        echo(f"ok     {word}: {counted(load(word, reading))}")
+    except MecpError as error:
+        echo(f"wrong  {error}")
+        return False
+    return True
+
+
+def _tell_left_out(folder: Path, reading: Reading) -> None:
+    """Print which JSON and yaml files of a folder are no plans, and why."""
+    for path, reason in left_out(folder, reading.kind).items():
+        echo(f"other  {path}: {reason}")
+
+
+@dataclass(frozen=True)
+class Convert(Command):
+    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds convert plan.yaml house.json",
+        "mecp-env worlds convert scan.png house.json --resolution-m 0.05",
+        "mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1",
+    )
+
+    source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
+    target: Out  # .json, .yaml or .svg
+    map_resolution_m: float = 0.05  # metres per pixel of a .yaml map that is written
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Read, write, and print what was written."""
+        write = WRITERS.get(self.target.suffix.lower())
+        if write is None:
+            raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")
+        source = one(self.source, self.reading, "source")
+        pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
+        spare_sources(pair if write is _write_map else [self.target], [source])
+        layout = load(source, self.reading)
+        check_writable(self.target, "target")
+        with tempfile.TemporaryDirectory() as folder:  # what fails leaves nothing
+            with naming(self.target):
+                write(layout, Path(folder) / self.target.name, self.map_resolution_m)
+            for path in Path(folder).iterdir():
+                write_atomic(self.target.with_name(path.name), path.read_bytes())
+        echo(
+            f"{self.target}: {layout.name}, {counted(layout)}",
+            *([layout.description] if Path(source).is_file() else []),
+        )
+        return 0
+
+
+def _write_map(layout: Layout, path: Path, resolution_m: float) -> None:
+    try:
+        save_map_server(layout, path.with_suffix(""), resolution_m)
+    except LayoutError as error:
+        raise LayoutError(re.sub(r"^resolution_m\b", "map_resolution_m", str(error))) from None
+
+
+WRITERS: dict[str, Callable[[Layout, Path, float], object]] = {
+    ".json": lambda layout, path, _: path.write_text(layout.to_json(), encoding="utf-8"),
+    ".yaml": _write_map,
+    ".svg": lambda layout, path, _: save_svg(layout, path),
+}
+
+
+def _shipped() -> Table:
+    """The shipped layouts, and what each is for."""
+    table = Table("building", "rooms", "doors", "what it is", title="shipped", title_justify="left")
+    for name in shipped_layouts():
+        layout = load_layout(name)
+        table.add_row(name, str(len(layout.rooms)), str(len(layout.doors)), layout.description)
+    return table
+
+
+def _presets() -> Table:
+    """The difficulties, and in what they differ from a plain specification; a range as `0.8 to 1`."""
+    table = Table("building", "what is generated", title="generated: any seed from 0", title_justify="left")
+    for name in DIFFICULTIES:
+        fields = GeneratorSpec.preset(name).model_dump(exclude_unset=True)
+        shown = {k: " to ".join(f"{end:g}" for end in v) if isinstance(v, tuple) else v for k, v in fields.items()}
+        table.add_row(f"{name}:SEED", ", ".join(f"{key} {value}" for key, value in shown.items()))
+    return table
+
+
+@dataclass(frozen=True)
+class Draw(Command):
+    """Draw floor plans: one building as a picture, several as a sheet."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds draw office",
+        "mecp-env worlds draw hard:0-8 --out runs/hard.png",
+        "mecp-env worlds draw my-house.json paper --out runs/two.svg",
+        "mecp-env worlds draw scan.png --resolution-m 0.05",
+    )
+
+    worlds: Buildings  # shipped names, hard:7, hard:0-9 (difficulty and seeds), files, folders
+    out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
+    dpi: Annotated[int, Field(ge=30, le=600)] = 200  # pixels per inch of a PNG, 30 to 600
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Draw, and say where the picture is."""
+        if self.out:
+            check_writable(check_format(self.out))
+        words = expand_all(self.worlds, self.reading)
+        check_count(len(words))
+        path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"
+        spare_sources([path], words)
+        buildings = [(title(word), load(word, self.reading)) for word in words]
+        echo(str(draw(buildings, path, self.dpi)))
+        return 0
+
+
+def title(word: str) -> str:
+    """What a building is called in a picture: as it was asked for, of a file its name."""
+    return Path(word).stem if Path(word).exists() else word
+
+
+def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 200) -> Path:
+    """Draw buildings, each with its title, on a sheet and save it; `path` itself, whose folder is made."""
+    plans = [floor_plan(layout, title) for title, layout in buildings]
+    check_writable(path).parent.mkdir(parents=True, exist_ok=True)
+    save_plans(plans, path, dpi)
+    return path
+
+
+RANGES = tuple(f"--{name.replace('_', '-')}" for name, value in GeneratorSpec() if isinstance(value, tuple))
+
+
+@dataclass(frozen=True)
+class Generate(Command):
+    """Generate buildings: layout files whose rooms, doors and loops are known. Every field of the specification is an
+    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it)."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds generate --difficulty hard --seed 7",
+        "mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png",
+        "mecp-env worlds generate --difficulty easy --split test --count 10",
+    )
+
+    difficulty: Difficulty = "medium"  # the preset below the other options
+    seed: Seed = 0  # the first seed; with a split, the first building of the split
+    count: Annotated[int, Field(ge=1, le=10_000)] = 1  # so many seeds, one after the other
+    split: Literal["train", "validation", "test"] | None = None  # seeds kept apart, so that results compare
+    out: Path = Path("runs/worlds")  # folder for DIFFICULTY-SEED.json, or for one building a .json file
+    sheet: Path | None = None  # also draw all of them here, .png or .svg
+    spec: tyro.conf.OmitArgPrefixes[GeneratorSpec] = field(default_factory=GeneratorSpec)
+
+    @classmethod
+    def completed(cls, line: Sequence[str]) -> list[str]:
+        """The line with a single number for a range as the range from it to itself."""
+        whole: list[str] = []
+        for before, word, after in zip(["", *line], line, [*line[1:], ""], strict=False):
+            single = before in RANGES and _is_number(word) and not _is_number(after)
+            whole += [word, word] if single else [word]
+        return whole
+
+    @classmethod
+    def defaults(cls, line: Sequence[str]) -> Self | None:
+        """Those of the difficulty that the line names."""
+        chosen = [*words_of(line, "--difficulty"), "medium"][0]
+        return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
+
+    keeps_results = True
+
+    def run(self, line: Sequence[str]) -> int:
+        """Write the files, one line on each."""
+        self._check()
+        drawn = []
+        for path, layout in self._buildings():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(layout.to_json(), encoding="utf-8")
+            echo(f"{path}: {counted(layout)}")
+            drawn += [(path.stem, layout)] if self.sheet else []
+        if self.sheet:
+            echo(str(draw(drawn, self.sheet)))
+        return 0
+
+    def _check(self) -> None:
+        """Raise `ConfigError` for what would fail only after some of the work."""
+        try:
+            self._seed(self.seed + self.count - 1)
+        except ConfigError as error:  # the split has not so many buildings
+            raise ConfigError(f"seed: {self.seed}, with count {self.count} up to {error}") from None
+        if self.out.suffix == ".json" and self.count > 1:
+            raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
+        (check_writable if self.out.suffix == ".json" else check_folder)(self.out)
+        if self.sheet:
+            check_writable(check_format(self.sheet), "--sheet")
+            check_count(self.count)
+
+    def _seed(self, number: int) -> int:
+        return split_seed(self.split, number) if self.split else number
+
+    def _buildings(self) -> Iterator[tuple[Path, Layout]]:
+        """Path and layout of every building."""
+        for seed in map(self._seed, range(self.seed, self.seed + self.count)):
+            path = self.out if self.out.suffix == ".json" else self.out / f"{self.difficulty}-{seed}.json"
+            yield path, generate(self.spec, seed)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
+COLUMNS = {  # figure -> heading, format; the median of an even number of counts may end in a half
+    "rooms": ("rooms", "{:g}"),
+    "doors": ("doors", "{:g}"),
+    "loops": ("loops", "{:g}"),
+    "floor_m2": ("floor\nm²", "{:.0f}"),
+    "faces": ("faces", "{:g}"),
+    "corners": ("corners", "{:g}"),
+    "obstacles": ("obst.", "{:g}"),
+    "longest_corridor_m": ("corridor\nm", "{:.1f}"),
+}
+NAME_WIDTH = 20  # with the figures it fits into 80 columns
+
+Figures = Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Stats(Command):
+    """Figures of buildings: rooms, doors, loops, floor, faces and corners that a laser can see, obstacles, and the
+    longest corridor (a room three times as long as wide). Of a series of seeds: the median, and from least to most."""
+
+    examples: ClassVar[tuple[str, ...]] = (
+        "mecp-env worlds stats",
+        "mecp-env worlds stats paper office hard:7",
+        "mecp-env worlds stats easy:0-99 medium:0-99 --json",
+    )
+
+    worlds: Buildings = ()  # as for draw; none: all that are shipped
+    json: bool = False  # as JSON, with every figure
+    reading: ReadingOptions = field(default_factory=Reading)
+
+    def run(self, line: Sequence[str]) -> int:
+        """Measure, and print a table or JSON."""
+        words = {word: expand(word, self.reading) for word in self.worlds or shipped_layouts()}
+        measured = measure(words, self.reading)
+        if self.json:
+            print(json.dumps({word: together(figures) for word, figures in measured.items()}, indent=2))
+        else:
+            _print_table(measured)
+        return 0
+
+
+def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, list[Figures]]:
+    """The figures of all buildings of each word."""
+    single = [(word, building) for word, buildings in words.items() for building in buildings]
+    found: dict[str, list[Figures]] = {word: [] for word in words}
+    for word, building in tracked(single, len(single), "measuring"):
+        found[word].append(asdict(building_figures(load(building, reading))))
+    return found
+
+
+def together(figures: Sequence[Figures]) -> dict[str, Any]:
+    """The figures of one building as they are; of several their number, and least, median, mean and most of each."""
+    if len(figures) == 1:
+        return {"buildings": 1, **_rounded(figures[0])}
+    columns = {name: [one[name] for one in figures] for name in figures[0]}
+    return {"buildings": len(figures), **{name: _rounded(_spread(values)) for name, values in columns.items()}}
+
+
+def _spread(values: Sequence[float]) -> Figures:
+    return {"min": min(values), "median": median(values), "mean": fmean(values), "max": max(values)}
+
+
+def _rounded(figures: Figures) -> dict[str, float]:
+    return {name: round(value, 3) for name, value in figures.items()}
+
+
+def _print_table(measured: Mapping[str, Sequence[Figures]]) -> None:
+    table = Table(box=SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
+    table.add_column("building", overflow="fold", max_width=NAME_WIDTH)
+    for heading, _ in COLUMNS.values():
+        table.add_column(heading, justify="right", no_wrap=True)
+    for word, figures in measured.items():
+        entries = (_entry([one[name] for one in figures], form) for name, (_, form) in COLUMNS.items())
+        table.add_row(Text(sanitised(word)), *entries)
+    Console().print(table)
+
+
+def _entry(values: Sequence[float], form: str) -> str:
+    """One value, or the median with the least and the most below it."""
+    if min(values) == max(values):
+        return form.format(values[0])
+    return f"{form.format(median(values))}\n{form.format(min(values))}-{form.format(max(values))}"
