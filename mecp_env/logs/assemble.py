@@ -72,10 +72,9 @@ def _readings(recording: Recording, max_range_m: float | None, view_deg: float |
     counts, budget = recording.counts, recording.budget
     if not recording.mounts:
         return clean(recording.sweeps, counts, budget, max_range_m, view_deg)
-    used = sorted({sweep.laser for sweep in recording.sweeps})
-    groups = [[sweep for sweep in recording.sweeps if sweep.laser == laser] for laser in used]
-    lasers = [(sweeps, clean(sweeps, counts, budget, max_range_m, None)) for sweeps in groups]
-    mounts = [recording.mounts[laser] for laser in used]
+    groups = recording.by_laser()
+    lasers = [(sweeps, clean(sweeps, counts, budget, max_range_m, None)) for sweeps in groups.values()]
+    mounts = [recording.mounts[laser] for laser in groups]
     recording.sweeps = one_scanner(lasers, mounts, recording.odometry, counts)
     farthest = max(
         readings.limit_m + float(np.hypot(*mount[:2])) for (_, readings), mount in zip(lasers, mounts, strict=True)

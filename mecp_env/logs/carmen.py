@@ -17,7 +17,7 @@ import math
 import zlib
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import IO
 
@@ -45,36 +45,28 @@ OLD_TAIL, NEW_TAIL = 10, 11  # values behind the readings of a ROBOTLASER1 line:
 class CarmenLog:
     """What the lines so far have said."""
 
+    recording: Recording  # but for its sweeps
     field_of_view_deg: float | None  # of FLASER lines; None: by the number of beams
     sweeps: dict[str, list[Sweep]] = field(default_factory=lambda: {"ROBOTLASER1": [], "FLASER": [], "RAWLASER1": []})
-    odometry: Track = field(default_factory=Track)
-    reference: Track = field(default_factory=Track)
     mount: dict[str, float] = field(default_factory=dict)
-    counts: Counter[str] = field(default_factory=Counter)
-    notes: list[str] = field(default_factory=list)
-    budget: Budget = field(default_factory=lambda: Budget.of(0))
     line: int = 0
     cut: bool = False  # this line has no end
 
+    @property
+    def counts(self) -> Counter[str]:
+        return self.recording.counts
+
     def read(self, words: list[str]) -> None:
-        """Take in one line, or count it as damaged."""
+        """Take in one line that is neither empty nor a comment, or count it as damaged."""
         try:
-            self.take(words)
+            if words[0] in READERS:
+                READERS[words[0]](self, words)
+            else:
+                self.counts["lines of another laser" if words[0] in OTHER_LASERS else "lines of other messages"] += 1
         except LogError:
             raise
         except (ValueError, IndexError):
-            if not self.counts["damaged lines"]:
-                self.notes.append(f"line {self.line} is the first that is damaged: {' '.join(words[:4]):.60} ...")
-            self.counts["damaged lines"] += 1
-
-    def take(self, words: list[str]) -> None:
-        """Take in one line that is neither empty nor a comment. Raises `ValueError` for a damaged one."""
-        if words[0] in OTHER_LASERS:
-            self.counts["lines of another laser"] += 1
-        elif words[0] in READERS:
-            READERS[words[0]](self, words)
-        else:
-            self.counts["lines of other messages"] += 1
+            self.recording.damaged("line", self.line, words)
 
     def param(self, words: list[str]) -> None:
         """A parameter of the robot; those of no use here may have any value."""
@@ -83,15 +75,15 @@ class CarmenLog:
 
     def odom(self, words: list[str]) -> None:
         """The robot's pose by its wheels."""
-        self.pose(self.odometry, words)
+        self.pose(self.recording.odometry, words)
 
     def truepos(self, words: list[str]) -> None:
         """The robot's true pose."""
-        self.pose(self.reference, words)
+        self.pose(self.recording.reference, words)
 
     def pose(self, track: Track, words: list[str]) -> None:
         """A pose of a track."""
-        self.budget.take(POSE_BYTES)
+        self.recording.budget.take(POSE_BYTES)
         track.add(self.stamp(words, 7), _pose(words, 1), float(self.line))
 
     def stamp(self, words: list[str], at: int) -> float:
@@ -108,9 +100,10 @@ class CarmenLog:
         """Keep a sweep; the poses are those of laser and robot. One without has the place of the odometry before it."""
         if len(ranges) < 2:
             raise ValueError
-        self.budget.take(SWEEP_BYTES + 2 * ranges.nbytes)
+        self.recording.budget.take(SWEEP_BYTES + 2 * ranges.nbytes)
         laser, robot = poses or (None, None)
-        order = float(self.line) if poses or not self.odometry.order else self.odometry.order[-1]
+        before = self.recording.odometry.order
+        order = float(self.line) if poses or not before else before[-1]
         self.sweeps[kind].append(Sweep(t, ranges, geometry, robot, laser, order=order))
 
     def flaser(self, words: list[str]) -> None:
@@ -155,19 +148,18 @@ READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
 def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float | None = None) -> Recording:
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
-    log = CarmenLog(field_of_view_deg, budget=Budget.of(len(data)))
+    recording = Recording(path.name, budget=Budget.of(len(data)))
+    log = CarmenLog(recording, field_of_view_deg)
     for number, is_cut, words in _lines(data, data.startswith(MAGIC), log.counts):
         if number > MOST_LINES + len(data):
             raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
         log.line, log.cut = number, is_cut
         log.read(words)
     kind = _message(log, message)
-    counts = +log.counts
-    unused = sum(len(found) for name, found in log.sweeps.items() if name != kind)
-    counts["scans of another message"] += unused
-    mount = np.array([log.mount.get(name, 0.0) for name in MOUNT]) if log.mount else None
-    poses = log.odometry, log.reference
-    return Recording(path.name, log.sweeps[kind], *poses, T_robot_laser=mount, counts=+counts, notes=log.notes)
+    recording.sweeps = log.sweeps.pop(kind)
+    recording.counts["scans of another message"] += sum(map(len, log.sweeps.values()))
+    recording.T_robot_laser = np.array([log.mount.get(name, 0.0) for name in MOUNT]) if log.mount else None
+    return replace(recording, counts=+recording.counts, budget=Budget.of(0))
 
 
 def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
@@ -184,7 +176,7 @@ def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[in
 
 
 def _words(line: bytes) -> list[str]:
-    """None for a comment."""
+    """Those of a line; none of a comment."""
     words = line.decode("latin-1").split()
     return [] if words and words[0].startswith("#") else words
 
@@ -221,7 +213,7 @@ def _message(log: CarmenLog, asked: str | None) -> str:
     most = max(counts.values())
     if not most:
         found = f"no laser: no line of {', '.join(counts)} that can be read ({_found(log)})"
-        raise LogError("; ".join((found, *log.notes)))
+        raise LogError("; ".join((found, *log.recording.notes)))
     return next(name for name, n in counts.items() if 2 * n >= most)
 
 

@@ -32,7 +32,8 @@ def set_stamps(recording: Recording, clock: Clock) -> None:
         recording.notes.append(RECEIVED if clock == "received" else UNUSABLE)
         _take_order(recording)
     recording.counts["scans without a useful stamp, in the order of the file"] += (not useful) * len(recording.sweeps)
-    found = [sweep for sweeps in _by_laser(recording) for sweep in _sorted_out(sweeps, carried, recording.counts)]
+    lasers = recording.by_laser().values()
+    found = [sweep for sweeps in lasers for sweep in _sorted_out(sweeps, carried, recording.counts)]
     if not found:
         raise LogError(f"no scan that can be used ({listed(recording)})")
     recording.sweeps = found
@@ -41,12 +42,7 @@ def set_stamps(recording: Recording, clock: Clock) -> None:
 def _all_useful(recording: Recording, carried: bool) -> bool:
     """True where the stamps of all lasers are of use, and those of the poses that sweeps do not carry."""
     poses = [] if carried else [np.array(recording.odometry.t, np.float64)]
-    return all(map(are_useful, (*map(_stamps, _by_laser(recording)), *poses)))
-
-
-def _by_laser(recording: Recording) -> list[list[Sweep]]:
-    lasers = sorted({sweep.laser for sweep in recording.sweeps})
-    return [[sweep for sweep in recording.sweeps if sweep.laser == laser] for laser in lasers]
+    return all(map(are_useful, (*map(_stamps, recording.by_laser().values()), *poses)))
 
 
 def _stamps(sweeps: list[Sweep]) -> Array:
@@ -62,21 +58,15 @@ def are_useful(stamps: Array) -> bool:
     """True unless too many of the stamps (n,) are equal, impossible or out of order."""
     if len(stamps) < 3:
         return not len(stamps) or (bool((abs(stamps) < LATEST_S).all()) and len(np.unique(stamps)) == len(stamps))
-    kept = stamps[_non_descending_rows(stamps)]
+    kept = stamps[ascending_rows(stamps, equal=True)]
     return len(kept) >= USEFUL_SHARE * len(stamps) and len(np.unique(kept)) > max(1.0, DISTINCT_SHARE * len(stamps))
 
 
-def ascending_rows(t: Array) -> Ints:
-    """Rows of the longest ascending subsequence of t (n,): one wrong stamp costs one row, wherever it points."""
-    return _longest(t, equal=False)
+def ascending_rows(t: Array, equal: bool = False) -> Ints:
+    """Rows of the longest ascending subsequence of t (n,): one wrong stamp costs one row, wherever it points.
 
-
-def _non_descending_rows(t: Array) -> Ints:
-    return _longest(t, equal=True)
-
-
-def _longest(t: Array, equal: bool) -> Ints:
-    """Rows of the longest subsequence of t (n,) that ascends, or does not descend where equal stamps count as well."""
+    With `equal` it does not descend.
+    """
     ends: list[float] = []  # of the best subsequence of each length, the last stamp
     last: list[int] = []  # and its row
     before, find = np.full(len(t), -1), bisect_right if equal else bisect_left
@@ -100,7 +90,7 @@ def _take_order(recording: Recording) -> None:
 def _sorted_out(sweeps: list[Sweep], carried: bool, counts: Counter[str]) -> list[Sweep]:
     """Sweeps with ascending stamps: one that carries its pose keeps its place in the file, others out of order go."""
     stamps = _stamps(sweeps)
-    rows = _non_descending_rows(stamps)
+    rows = ascending_rows(stamps, equal=True)
     out = len(stamps) - len(rows)
     counts["scans with an impossible stamp, or out of order" + (", placed by their lines" if carried else "")] += out
     if carried and len(rows):
@@ -135,15 +125,14 @@ def _repeats(sweeps: list[Sweep], stamps: Array, rows: Ints) -> np.ndarray[tuple
     same = np.zeros(len(rows), np.bool_)
     for k in np.flatnonzero(np.diff(stamps[rows]) == 0.0).tolist():
         a, b = sweeps[rows[k]], sweeps[rows[k + 1]]
-        same[k + 1] = np.array_equal(a.ranges, b.ranges, equal_nan=True) and _same_pose(a, b)
+        same[k + 1] = np.array_equal(_numbers(a), _numbers(b), equal_nan=True)
     return same
 
 
-def _same_pose(a: Sweep, b: Sweep) -> bool:
-    return all(
-        (p is None and q is None) or (p is not None and q is not None and np.array_equal(p, q, equal_nan=True))
-        for p, q in ((a.T_odom_robot, b.T_odom_robot), (a.T_odom_laser, b.T_odom_laser))
-    )
+def _numbers(sweep: Sweep) -> Array:
+    """(k,) readings and poses; all sweeps of a laser carry the same poses."""
+    poses = (pose for pose in (sweep.T_odom_robot, sweep.T_odom_laser) if pose is not None)
+    return np.concatenate([sweep.ranges, *poses])
 
 
 def _spread(stamps: Array) -> Array:

@@ -112,7 +112,6 @@ SHAPES = {  # n scans of B beams
     "mount": (3,),
 }
 NEEDED = ("t", "ranges", "angles")
-UNEVEN = 0.25  # of a step, by which an angle may be off
 
 
 def read_archive(path: Path) -> Recording:
@@ -121,8 +120,11 @@ def read_archive(path: Path) -> Recording:
     recording = Recording(path.name, budget=Budget.of(len(data)))
     arrays = _arrays(data, recording.budget)
     _check_shapes(arrays)
-    geometry = _geometry(arrays["angles"], float(arrays.get("max_range_m", np.array(np.inf))))
-    stamps = arrays["t"].tolist()
+    angles = arrays["angles"]
+    if len(angles) < 2 or not np.isfinite(angles).all():
+        raise LogError(f"angles: {len(angles)} finite numbers, at least 2 expected")
+    limit = float(arrays.get("max_range_m", np.array(np.inf)))
+    geometry = Geometry.even(angles, "angles: not evenly spaced", max_range_m=limit)
     stamps, odometry = arrays["t"].tolist(), arrays.get("odo", np.empty((0, 3)))
     poses = list(odometry) or [None] * len(stamps)
     for row, (t, sweep, pose) in enumerate(zip(stamps, arrays["ranges"], poses, strict=True)):
@@ -185,13 +187,3 @@ def _check_shapes(arrays: dict[str, Array]) -> None:
             where = ", ".join(f"{letter} = {length}" for letter, length in lengths.items())
             shape = f"({', '.join(map(str, expected))})"
             raise LogError(f"{name}: shape {values.shape}, {shape} expected" + (f" with {where}" if where else ""))
-
-
-def _geometry(angles: Array, max_range_m: float) -> Geometry:
-    """That of angles (B,), which are evenly spaced. Raises `LogError`."""
-    if len(angles) < 2 or not np.isfinite(angles).all():
-        raise LogError(f"angles: {len(angles)} finite numbers, at least 2 expected")
-    even = np.linspace(angles[0], angles[-1], len(angles))
-    if abs(angles - even).max() > UNEVEN * abs(even[1] - even[0]):
-        raise LogError("angles: not evenly spaced")
-    return Geometry(len(angles), float(even[0]), float(even[1] - even[0]), 0.0, max_range_m)

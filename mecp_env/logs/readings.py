@@ -18,6 +18,7 @@ from mecp_env.core.se2 import wrapped
 
 BASE_BYTES, FACTOR = 40 * 2**20, 16  # what may be made of a file: so much, and so many times its size
 SWEEP_BYTES, POSE_BYTES = 800, 300  # of a sweep without its readings, and of a pose
+UNEVEN = 0.25  # of a step, by which an angle may be off
 
 
 @dataclass(slots=True, eq=False)
@@ -53,6 +54,14 @@ class Geometry(NamedTuple):
     def angles(self) -> Array:
         """(B,) rad, in the order of the readings."""
         return self.start_rad + self.step_rad * np.arange(self.beams, dtype=np.float64)
+
+    @classmethod
+    def even(cls, angles: Array, fault: str, unit_rad: float = 1.0, max_range_m: float = math.inf) -> Geometry:
+        """That of angles (B,) in some unit. Raises `LogError` that says `fault` where they are not evenly spaced."""
+        even = np.linspace(angles[0], angles[-1], len(angles))
+        if abs(angles - even).max() > UNEVEN * abs(even[1] - even[0]):
+            raise LogError(fault)
+        return cls(len(angles), unit_rad * float(even[0]), unit_rad * float(even[1] - even[0]), 0.0, max_range_m)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +116,17 @@ class Recording:
         """Take in one sweep. Raises `LogError` where the file makes too much."""
         self.budget.take(SWEEP_BYTES + 2 * sweep.ranges.nbytes)
         self.sweeps.append(sweep)
+
+    def damaged(self, what: str, number: int, words: list[str]) -> None:
+        """Count a line or row that cannot be read, and note the first."""
+        if not self.counts[f"damaged {what}s"]:
+            self.notes.append(f"{what} {number} is the first that is damaged: {' '.join(words[:4]):.60} ...")
+        self.counts[f"damaged {what}s"] += 1
+
+    def by_laser(self) -> dict[int, list[Sweep]]:
+        """The sweeps of each laser that has any."""
+        lasers = sorted({sweep.laser for sweep in self.sweeps})
+        return {laser: [sweep for sweep in self.sweeps if sweep.laser == laser] for laser in lasers}
 
 
 LONGEST_M = 1000.0  # no laser measures farther

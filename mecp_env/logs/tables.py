@@ -21,7 +21,6 @@ TABLES = (".csv", ".dat")
 STAMPS = ("t", "time", "stamp", "timestamp")
 POSES = (("x", "x_m", "odom_x"), ("y", "y_m", "odom_y"), ("heading", "theta", "yaw", "heading_rad", "odom_theta"))
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
-UNEVEN = 0.25  # of a step, by which a bearing may be off
 LONGEST_LINE = 2**20
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
 MOST_TICKS = 1e18  # of a counter, and microseconds of a stamp
@@ -62,7 +61,7 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
     for number, words in rows:
         row = _numbers(words)
         if row is None or len(row) != len(names):
-            _damaged(recording, number, words)
+            recording.damaged("row", number, words)
         else:
             recording.add(columns.sweep(row, number))
 
@@ -74,7 +73,7 @@ def _read_dat(data: bytes, recording: Recording, view_deg: float | None) -> None
     for number, words in _rows(data):
         row = _numbers(words[:-1])
         if row is None or len(row) < FIRST_RANGE + 2 or not (np.abs(row[:4]) < MOST_TICKS).all():
-            _damaged(recording, number, words)
+            recording.damaged("row", number, words)
             continue
         wheels.append(row[2:4] * math.pi * WHEEL_M / TICKS)
         pose = _driven(recording.sweeps[-1].T_odom_robot if recording.sweeps else None, wheels[-2:])
@@ -112,12 +111,6 @@ def _numbers(words: list[str]) -> Array | None:
         return None
 
 
-def _damaged(recording: Recording, number: int, words: list[str]) -> None:
-    if not recording.counts["damaged rows"]:
-        recording.notes.append(f"row {number} is the first that is damaged: {' '.join(words[:4]):.60} ...")
-    recording.counts["damaged rows"] += 1
-
-
 def _columns(names: list[str], view_deg: float | None) -> Columns:
     """Where a table with these names has what. Raises `LogError`."""
     stamp, *places = (next((names.index(name) for name in known if name in names), None) for known in (STAMPS, *POSES))
@@ -138,7 +131,5 @@ def _geometry(names: list[str], view_deg: float | None) -> Geometry:
         if not view:
             raise LogError("names of readings are no bearings in degrees: --field-of-view-deg is needed")
         return Geometry(len(names), -0.5 * view, view / (len(names) - 1))
-    even = np.linspace(degrees[0], degrees[-1], len(degrees))
-    if abs(degrees - even).max() > UNEVEN * abs(even[1] - even[0]):
-        raise LogError("columns of readings: bearings that are not evenly spaced")
-    return Geometry(len(names), math.radians(even[0]), math.radians(even[1] - even[0]))
+    fault = "columns of readings: bearings that are not evenly spaced"
+    return Geometry.even(degrees, fault, unit_rad=math.radians(1.0))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -145,14 +146,10 @@ class Recorder:
 
 def whole(values: Any, unit: float) -> Any:
     """Values as whole numbers of 1 / `unit`, nan as None; lists of them for arrays."""
-    scaled = np.round(np.asarray(values, np.float64) * unit)
-    if scaled.ndim == 0:
-        return int(scaled) if np.isfinite(scaled) else None
-    return (
-        [whole(value, 1.0) for value in scaled]
-        if scaled.ndim > 1 or not np.isfinite(scaled).all()
-        else [int(value) for value in scaled]
-    )
+    return np.asarray(_whole(np.round(np.asarray(values, np.float64) * unit)), np.object_).tolist()
+
+
+_whole = np.frompyfunc(lambda value: int(value) if math.isfinite(value) else None, 1, 1)
 
 
 def pose(T: Array) -> list[int]:
@@ -160,9 +157,9 @@ def pose(T: Array) -> list[int]:
     return [*whole(T[:2], CM), whole(T[2], MRAD)]
 
 
-def upper(cov: Array) -> Array:
-    """(3,) xx, xy, yy of a covariance (2,2)."""
-    return np.array([cov[0, 0], cov[0, 1], cov[1, 1]])
+def upper(covs: Array) -> Array:
+    """(...,3) xx, xy, yy of covariances (...,2,2)."""
+    return covs[..., (0, 0, 1), (0, 1, 1)]
 
 
 def beams_shown(output: SlamOutput) -> tuple[Array, Array]:
@@ -203,7 +200,7 @@ def landmark_rows(frame: Frame) -> dict[int, list[int]]:
     """For each landmark x, y in cm and its covariance xx, xy, yy in mm^2."""
     belief = frame.view.slam_output.belief
     places = whole(belief.p_map, CM)
-    covs = whole(np.stack([belief.covs[:, 0, 0], belief.covs[:, 0, 1], belief.covs[:, 1, 1]], axis=1), MM2)
+    covs = whole(upper(belief.covs), MM2)
     return {name: [*p, *c] for name, p, c in zip(belief.ids.tolist(), places, covs, strict=True)}
 
 
