@@ -108,7 +108,7 @@ def name_of(row: Figures) -> str:
 
 def table(columns: Sequence[Column], rows: Sequence[tuple[str, Figures]]) -> str:
     """A table with one line per policy; nothing without rows."""
-    lines = [[name, *(cell(figures[key], *form) for _, key, *form in columns)] for name, figures in rows]
+    lines = [[name, *(cell(figures[key], form, by) for _, key, form, by in columns)] for name, figures in rows]
     return markdown_table(["", *(heading for heading, *_ in columns)], lines) if rows else ""
 
 
@@ -160,6 +160,5 @@ def returns_table(result: Figures) -> str:
 
     A ratio without a positive return of the others has no meaning and is a dash.
     """
-    returns = result.get("returns")
-    known = returns is not None and returns["lost"]["value"] is not None
-    return table(RETURNS, [(f"{returns['lost']['n']} buildings with both", returns)]) if known else ""
+    found = [part for part in [result.get("returns")] if part and part["lost"]["value"] is not None]
+    return table(RETURNS, [(f"{part['lost']['n']} buildings with both", part) for part in found])

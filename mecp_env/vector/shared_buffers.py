@@ -44,10 +44,15 @@ def aligned(fields: Mapping[str, Any]) -> np.dtype[Any]:
     return np.dtype({"names": list(fields), "formats": list(fields.values())}, align=True)
 
 
+def names_of(values: NDArray[Any]) -> tuple[str, ...]:
+    """The names of the fields; none of an array of plain numbers."""
+    return values.dtype.names or ()
+
+
 def observations(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
     """The parts of the observations in records (n,) by name, as views."""
     seen = records[SEEN]
-    return {name: seen[name] for name in seen.dtype.names} if seen.dtype.names else {ALONE: seen}
+    return {name: seen[name] for name in names_of(seen)} or {ALONE: seen}
 
 
 def batched_infos(records: NDArray[Any], chosen: Bools, rest: Infos, add: Add) -> Info:
@@ -57,7 +62,7 @@ def batched_infos(records: NDArray[Any], chosen: Bools, rest: Infos, add: Add) -
     environment of the batch, at least n.
     """
     listed, infos = records["listed"] & chosen, Info()
-    for name in records[INFO].dtype.names if listed.any() else ():
+    for name in names_of(records[INFO]) if listed.any() else ():
         infos[name], infos[f"_{name}"] = records[INFO][name].copy(), listed.copy()
         infos[name][~listed] = 0
     for row, info in rest.items():

@@ -12,7 +12,7 @@ from gymnasium.vector import AutoresetMode
 
 from mecp_env.core import processes
 from mecp_env.core.processes import Failure
-from mecp_env.vector.shared_buffers import ALONE, INFO, MASK, RESULT, Info, Infos, observations
+from mecp_env.vector.shared_buffers import ALONE, INFO, MASK, RESULT, Info, Infos, names_of, observations
 
 Makers = Sequence[Callable[[], gymnasium.Env[Any, Any]]]
 Result = tuple[float, bool, bool]  # reward, terminated, truncated
@@ -46,7 +46,7 @@ class WorkerEnvironments:
         records = np.frombuffer(self._memory, self._record)[self.first :]
         self._seen, self._shown = observations(records), records[MASK]
         self._results, self._numbers = records[RESULT], records[INFO]
-        self._listed = dict.fromkeys(self._numbers.dtype.names)
+        self._listed = dict.fromkeys(names_of(self._numbers))
         for env, maker in enumerate(self._makers, self.first):
             self.env = env
             self._envs.append(maker())
