@@ -76,3 +76,13 @@ def test_a_batch_gives_what_gymnasiums_own_class_gives(
     makers = [partial(Counter, alone)] * COUNT
     batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
     assert equal(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))
+
+
+def test_masks_come_through_the_shared_records(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hosted, "load", lambda: None)
+    batch = BatchEnv([partial(Counter, True)] * COUNT, workers=2, context="fork")
+    batch.reset(seed=3)
+    assert batch.action_masks().tolist() == [[True, False, False, False, False]] * COUNT
+    batch.step(np.zeros(COUNT, np.int64))
+    assert batch.action_masks([2, 0]).tolist() == [[True, True, False, False, False]] * 2
+    batch.close()
