@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mecp_env import TRAINED
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.files import read_json
@@ -73,10 +74,6 @@ EXPLORERS = {  # name -> "module:Class", constructed without arguments
 OURS = tuple(EXPLORERS)
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"
-LOADERS = {  # suffix of a file -> module and function
-    ".onnx": ("mecp_env.learning.exported", "load_onnx"),
-    "": ("mecp_env.learning.learned", "load"),
-}
 MOST_BYTES = 1_000_000  # of policy.json
 BESIDE = (".json", "_vecnormalize.pkl")  # what belongs to a model file, after its stem
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
@@ -182,7 +179,7 @@ def load_learned(name: str, trust: bool = False) -> Policy:
     """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
     if Path(name).suffix == ".py":
         raise ConfigError(f"policy: {name!r:.80} is source code; name a class in it, as {Path(name).stem}:MyPolicy")
-    module, load = LOADERS.get(Path(name).suffix, LOADERS[""])
+    module, _, load = TRAINED.get(Path(name).suffix, TRAINED[""]).partition(":")
     try:
         policy: Policy = getattr(importlib.import_module(module), load)(name, trust)
     except ModuleNotFoundError as error:
