@@ -28,6 +28,7 @@ from mecp_env.core.intervals import Figures, estimate, ratio, share
 from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies, import_modules
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
+from mecp_env.policies.report_table import markdown_table
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])
 
@@ -223,9 +224,7 @@ def flatten(figures: Any, path: str = "") -> dict[str, Any]:
 
 def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
     """A Markdown table with formatted numbers and estimates."""
-    lines = [f"| {' | '.join(header)} |", f"|{'---|' * len(header)}"]
-    lines += [f"| {' | '.join(readable(cell) for cell in row)} |" for row in rows]
-    return "\n".join(lines)
+    return markdown_table(header, [[readable(cell) for cell in row] for row in rows])
 
 
 def readable(figure: object) -> str:

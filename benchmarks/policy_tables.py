@@ -23,6 +23,7 @@ from mecp_env.policies.report_table import (
     Column,
     cell,
     labelled,
+    markdown_table,
     seeds_table,
     table,
 )
@@ -97,11 +98,10 @@ def task_tables() -> dict[str, str]:
     prices, acting = (
         [json.loads(path.read_text()) for path in paths if path.exists()] for paths in (PRICE_RESULTS, ACTING_RESULTS)
     )
-    lines = ["| task, policy | estimator | known correspondences | true pose | price |", "|---|---|---|---|---|"]
-    for result in prices:
-        lines += [price(result["setting"]["task"], policy, result["rows"]) for policy in GREEDY]
+    lines = [price(result["setting"]["task"], policy, result["rows"]) for result in prices for policy in GREEDY]
+    heads = ["task, policy", "estimator", "known correspondences", "true pose", "price"]
     places = {result["setting"]["task"].removesuffix("-v0"): of_task(result) for result in acting}
-    return places | {"price": "\n".join(lines)}
+    return places | {"price": markdown_table(heads, lines)}
 
 
 def of_task(result: Figures) -> str:
@@ -149,13 +149,12 @@ def suite_table(name: str, results: dict[str, Figures]) -> str:
     )
 
 
-def price(task: str, policy: str, rows: list[Figures]) -> str:
+def price(task: str, policy: str, rows: list[Figures]) -> list[str]:
     """A line of the price of uncertainty: correct coverage over steps, and truth minus estimator, paired."""
     of_policy = {row["estimator"]: row for row in rows if row["policy"] == policy}
     figures = [of_policy[name]["figures"][HEADLINE_METRIC] for name in ("slam", "known", "truth")]
-    cells = [cell(figure, ".3f", 1.0) for figure in figures]
-    cost = cell(of_policy["truth"]["with_the_pose_known"][HEADLINE_METRIC], ".3f", 1.0)
-    return f"| `{task}`, {policy} | {' | '.join(cells)} | {cost} |"
+    cost = of_policy["truth"]["with_the_pose_known"][HEADLINE_METRIC]
+    return [f"`{task}`, {policy}", *(cell(figure, ".3f") for figure in (*figures, cost))]
 
 
 def updated(text: str, result: Figures) -> str:

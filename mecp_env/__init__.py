@@ -27,6 +27,10 @@ ENVIRONMENTS = {  # id -> entry point
     "mecp_env/ActiveCorridors-v0": "mecp_env.registration:make_active_corridors",
     "mecp_env/ActiveCheapRobot-v0": "mecp_env.registration:make_active_cheap_robot",
 }
+TRAINED = {  # suffix of the file of a trained policy, "" for all others -> the function that loads it
+    ".onnx": "mecp_env.learning.exported:load_onnx",
+    "": "mecp_env.learning.learned:load",
+}
 
 
 def register_environments() -> None:

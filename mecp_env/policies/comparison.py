@@ -1,17 +1,20 @@
 """From episodes to metrics: one row per policy, with 95 % intervals and paired differences by building.
 
 What a return says of the map: lost episodes against the others of the same building, and correct coverage.
+
+Trainings that differ in their seed only, taken together: their mean, and what they differ by from other policies.
 """
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools
-from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
+from mecp_env.core.intervals import Figures, correlation, estimate, over_runs, ratio, share
 from mecp_env.policies.rollout import EpisodeResult
 
 
@@ -56,6 +59,7 @@ COMPARED = (
     *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete"),
 )
 KNOWN = {"truth": "with_the_pose_known", "known": "with_known_correspondences"}  # what is known: key of the difference
+NUMBERED = re.compile(r"(.+)-\d+")  # a run among several that differ in their seed
 SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 
 
@@ -133,3 +137,37 @@ def timing(rows: Sequence[Row]) -> dict[str, float]:
         seconds = sum(episode.act_s for episode in row.episodes)
         rates.setdefault(row.policy, float(row.values("decisions").sum() / max(seconds, 1e-9)))
     return rates
+
+
+def seeds_of(rows: Sequence[Row]) -> list[Figures]:
+    """A part for each group of runs `NAME-0`, `NAME-1`, ...: `policy` (`NAME-*`), `seeds`, `figures`, `differences`.
+
+    `differences`, by the name of another group or policy, are means of the runs minus that, in the same buildings, with
+    intervals over runs and buildings. Only rows of one estimator, which the caller selects, can be compared.
+    """
+    together = by_name(rows)
+    groups = {name: runs for name, runs in together.items() if len(runs) > 1}
+    return [
+        {
+            "policy": name,
+            "estimator": runs[0].estimator,
+            "seeds": len(runs),
+            "figures": differences(runs, []),
+            "differences": {other: differences(runs, row) for other, row in together.items() if other != name},
+        }
+        for name, runs in groups.items()
+    ]
+
+
+def by_name(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows under `NAME-*` where two or more are called `NAME-NUMBER`, the others under their own names."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        numbered = NUMBERED.fullmatch(row.policy)
+        found.setdefault(f"{numbered[1]}-*" if numbered else row.policy, []).append(row)
+    return {name if len(runs) > 1 else runs[0].policy: runs for name, runs in found.items()}
+
+
+def differences(runs: Sequence[Row], others: Sequence[Row]) -> Figures:
+    """The compared metrics: mean of the runs, minus that of the others where there are any."""
+    return {name: over_runs(of_all(runs, name), of_all(others, name) if others else None) for name in COMPARED}

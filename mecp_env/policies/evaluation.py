@@ -25,20 +25,9 @@ from mecp_env.core.files import write_atomic
 from mecp_env.core.intervals import Figures
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
-from mecp_env.policies.comparison import Row, compare, returns_of, rows_of, timing
+from mecp_env.policies.comparison import Row, compare, returns_of, rows_of, seeds_of, timing
 from mecp_env.policies.registry import Policy, make_policy, policy_checksum, source_of
-from mecp_env.policies.report_table import seeds_of
-from mecp_env.policies.rollout import (
-    Env,
-    EpisodeResult,
-    EpisodeTask,
-    Info,
-    check_observation,
-    make_rooms,
-    run_episode,
-    run_policy,
-    watched,
-)
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Info, make_rooms, run_episode, run_policy
 from mecp_env.policies.setting import Setting, plan_names
 from mecp_env.render.film import Film
 from mecp_env.render.screen import thumbnail
@@ -50,27 +39,6 @@ LONGEST = 900  # steps: longer episodes are cut
 FIRST = 0, 0  # building and seed
 
 
-class Recorder:
-    """Draws the belief of a policy while it explores."""
-
-    def __init__(self, policy: str, env: Env) -> None:
-        self.policy, self.env = policy, env
-        self.film = Film(MOST_FRAMES, EVERY)
-        self.info: Info = {}
-
-    def add(self, info: Info) -> None:
-        """Take the picture of every n-th step."""
-        self.info = info
-        self.film.offer(info["period"], self.picture)
-
-    def picture(self, ended: str = "") -> Bytes:
-        """The belief, time, path length and coverage."""
-        info = self.info
-        time_s = self.env.get_wrapper_attr("config").robot.period_s * info["period"]
-        words = f"{time_s:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
-        return thumbnail(self.env.get_wrapper_attr("view")(), PANEL, self.policy, words)
-
-
 def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
     """Write the film of all policies in one building as a GIF; long episodes are cut."""
     shorter = replace(setting, max_steps=min(setting.max_steps, LONGEST))
@@ -78,33 +46,33 @@ def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: boo
     every = max(film.every for film in films)
     last = max(film.every * (len(film.frames) - 1) for film in films)
     whole = Film()
-    whole.frames = [mosaic([at(film, step) for film in films]) for step in range(0, last + every, every)]
+    for step in range(0, last + every, every):  # an episode that is over stays at its last picture
+        whole.frames.append(mosaic([film.frames[min(-(-step // film.every), len(film.frames) - 1)] for film in films]))
     whole.save(path)
 
 
 def record(policy: str, setting: Setting, trust: bool = False) -> Film:
-    """The pictures of one exploration, with the last one."""
-    made = make_policy(policy, trust)
+    """What the robot believes at every n-th step of an exploration, and at its end, with time, metres and coverage."""
+    made, film = make_policy(policy, trust), Film(MOST_FRAMES, EVERY)
     env = make_rooms(setting, made)
-    recorder = Recorder(policy, env)
-    run_policy(watched(env, recorder.add), made, recorder.add, FIRST)
-    recorder.film.frames.append(recorder.picture("    ..." if recorder.info["goals"] else "    done"))
+    period_s = env.get_wrapper_attr("config").robot.period_s
+
+    def picture(info: Info, ended: str = "") -> Bytes:
+        """The belief below time, metres and coverage."""
+        words = f"{period_s * info['period']:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
+        return thumbnail(env.get_wrapper_attr("view")(), PANEL, policy, words)
+
+    end = run_policy(env, made, lambda info: film.offer(info["period"], lambda: picture(info)), FIRST)
+    film.frames.append(picture(end.info, "    ..." if end.info["goals"] else "    done"))
     env.close()
-    return recorder.film
-
-
-def at(film: Film, step: int) -> Bytes:
-    """The picture at a step; after the end the last one."""
-    return film.frames[min(-(-step // film.every), len(film.frames) - 1)]
+    return film
 
 
 def mosaic(pictures: list[Bytes]) -> Bytes:
     """The pictures in rows of three; missing ones have the colour of their border."""
     across = min(ACROSS, len(pictures))
-    rest = -len(pictures) % across
-    filled = [*pictures, *([np.full_like(pictures[0], pictures[0][0, 0])] * rest)]
-    rows = [np.concatenate(filled[i : i + across], axis=1) for i in range(0, len(filled), across)]
-    return np.concatenate(rows, axis=0)
+    filled = pictures + [np.full_like(pictures[0], pictures[0][0, 0])] * (-len(pictures) % across)
+    return np.vstack([np.hstack(filled[i : i + across]) for i in range(0, len(filled), across)])
 
 
 @dataclass(slots=True, eq=False)
@@ -163,7 +131,7 @@ class Evaluation:
         """
         for policy in policies:
             env = make_rooms(self.setting, policy)
-            check_observation(policy, env)
+            getattr(policy, "check_space", lambda space: None)(env.observation_space)  # it may know what it reads
             env.close()
         if self.setting.layout or not policies:
             return

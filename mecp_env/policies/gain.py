@@ -58,11 +58,11 @@ class NextBestView:
         area = self.expected_area(observation["grid"], goals)
         if area.max() < self.weights.least_m2:
             area = np.ones(len(rows))
-        return int(rows[np.argmax(self.worth(observation, area, goals))])
+        return int(rows[np.argmax(self.value_of(area, goals) * self.certainty(observation, goals))])
 
-    def worth(self, observation: dict[str, Any], area: Array, goals: Array) -> Array:
-        """(k,) by which the goals (k,9) with so much new floor (k,) m^2 are compared."""
-        return self.value_of(area, goals)
+    def certainty(self, observation: dict[str, Any], goals: Array) -> Array:
+        """(k,) factors up to 1 of the goals (k,9): all 1 here."""
+        return np.ones(len(goals))
 
     def value_of(self, area: Array, goals: Array) -> Array:
         """(k,) value of the goals (k,9) per path, each alone or together with the best second goal."""
@@ -88,10 +88,6 @@ class Gain(NextBestView):
     That is when the position's standard deviation exceeds `sure_m`. To see landmarks again that are known better than
     the pose reduces its uncertainty (Stachniss, Grisetti and Burgard 2005 close loops for that).
     """
-
-    def worth(self, observation: dict[str, Any], area: Array, goals: Array) -> Array:
-        """(k,) the value of the goals (k,9), times their certainty."""
-        return self.value_of(area, goals) * self.certainty(observation, goals)
 
     def certainty(self, observation: dict[str, Any], goals: Array) -> Array:
         """(k,) factors up to 1 of the goals (k,9): 1 while the pose is certain, less away from well-known landmarks."""

@@ -5,8 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -17,14 +16,12 @@ import numpy as np
 from mecp_env.config import ObservationConfig, merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.registry import Policy
-from mecp_env.policies.rollout import options_of
+from mecp_env.policies.rollout import MASKS, Env, masks_of, options_of, run_policy
 from mecp_env.policies.setting import Setting
 from mecp_env.wrappers import GoalActions
 
 INSTALL = "install the extra `datasets`: pip install 'mecp_env[datasets]'"
 INFOS = ("coverage", "correct_coverage", "pose_error_m", "metres", "period")  # of `info`, kept with each observation
-MASKS = "action_masks"
-Env = gym.Env[Any, Any]
 
 
 @dataclass(slots=True)
@@ -45,10 +42,6 @@ class Recorder(gym.Wrapper[Any, Any, Any, Any]):
 
     rows: EpisodeRows
 
-    def __init__(self, env: Env) -> None:
-        super().__init__(env)
-        self._masks = env.get_wrapper_attr(MASKS) if env.has_wrapper_attr(MASKS) else None
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start the rows of a new episode."""
         observation, info = super().reset(seed=seed, options=options)
@@ -67,8 +60,8 @@ class Recorder(gym.Wrapper[Any, Any, Any, Any]):
         return observation, reward, terminated, truncated, info
 
     def _kept(self, info: dict[str, Any]) -> dict[str, Any]:
-        mask = {} if self._masks is None else {MASKS: self._masks()}
-        return {name: info[name] for name in INFOS} | mask
+        mask = masks_of(self.env)()
+        return {name: info[name] for name in INFOS} | ({} if mask is None else {MASKS: mask})
 
 
 @dataclass(frozen=True)
@@ -83,9 +76,9 @@ class Recording:
     def episodes(self, first: int, count: int) -> Iterator[EpisodeRows]:
         """The rows of episodes in the buildings first, first + 1, ..., which are also their seeds."""
         env, recorder = self.make()
-        show = self._view_of_policy(recorder)
+        see = self._view_of_policy(recorder)
         for episode in range(first, first + count):
-            run(env, self.policy, show, (self.setting.building(episode), episode))
+            run_policy(env, self.policy, lambda _: None, (self.setting.building(episode), episode), see)
             yield recorder.rows
         env.close()
 
@@ -94,10 +87,10 @@ class Recording:
         mine, kept = self.policy.actions, self.actions or self.policy.actions
         if kept != mine and (mine, kept) != ("goal", "velocity"):
             raise ConfigError(f"actions: {kept!r}, expected {mine!r}, the actions of this policy")
-        fields = self.setting.fields(options_of(self.policy))
         parts = {} if self.observation == "dict" else {"map": False, "scan": False}  # which only tables have
+        config = self.setting.fields(options_of(self.policy))
         asked = {"actions": kept, "observation": {"format": self.observation, **parts}}
-        env = gym.make(disable_env_checker=True, **self.setting.buildings(), **merge(fields, asked))
+        env = gym.make(disable_env_checker=True, **self.setting.buildings(), **merge(config, asked))
         recorder = Recorder(env)
         return (recorder if kept == mine else GoalActions(recorder)), recorder
 
@@ -110,18 +103,6 @@ class Recording:
             return lambda recorded: recorded
         observer = base.observer_of(seen, self.policy.actions)
         return lambda recorded: base.observed_by(observer)
-
-
-def run(env: Env, policy: Policy, show: Callable[[Any], Any], building_seed: tuple[int, int]) -> None:
-    """Explore a building until the episode ends."""
-    building, seed = building_seed
-    observation, _ = env.reset(seed=seed, options={"building": building})
-    policy.reset(seed)
-    masks = env.get_wrapper_attr(MASKS) if env.has_wrapper_attr(MASKS) else lambda: None
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(show(observation), masks()))
-        over = terminated or truncated
 
 
 class DatasetWriter:
@@ -161,7 +142,9 @@ class DatasetWriter:
 
         env, recorder = self.recording.make()
         about = f"{self.algorithm} in {self.recording.setting.where}, by mecp_env"
-        with quiet():
+        with warnings.catch_warnings():
+            # authors and links are for the user to add
+            warnings.filterwarnings("ignore", ".* is set to None", UserWarning)
             dataset = minari.create_dataset_from_buffers(
                 self.name,
                 [episode],
@@ -174,27 +157,12 @@ class DatasetWriter:
         return dataset
 
 
-@contextmanager
-def quiet() -> Iterator[None]:
-    """Without minari's warnings about authors and links, which a user may add."""
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", ".* is set to None", UserWarning)
-        yield
-
-
 def buffer_of(rows: EpisodeRows) -> Any:
     """The `EpisodeBuffer` of minari with an array per part."""
     from minari.data_collector import EpisodeBuffer
 
-    return EpisodeBuffer(
-        seed=rows.seed,
-        observations=stacked(rows.observations),
-        actions=np.stack([np.asarray(action) for action in rows.actions]),
-        rewards=rows.rewards,
-        terminations=rows.terminations,
-        truncations=rows.truncations,
-        infos=stacked(rows.infos),
-    )
+    parts = {name: stacked(getattr(rows, name)) for name in ("observations", "actions", "infos")}
+    return EpisodeBuffer(**{part.name: getattr(rows, part.name) for part in fields(rows)} | parts)
 
 
 def stacked(rows: list[Any]) -> Any:

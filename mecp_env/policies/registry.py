@@ -15,6 +15,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from mecp_env import TRAINED
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.files import read_json
@@ -44,18 +45,18 @@ class Policy(Protocol):
 
 def choices(observation: dict[str, Any], mask: Mask = None) -> Ints:
     """(k,) the rows of the observation's goals that have something left to see and may be selected."""
-    goals = np.asarray(observation["goals"])
-    return _allowed((goals[:, VALID] > 0.5) & (goals[:, KIND] < PLACE), mask)
+    return rows_where(observation["goals"][:, KIND] < PLACE, observation, mask)
 
 
 def of_kind(kind: int, observation: dict[str, Any], mask: Mask = None) -> Ints:
     """(k,) the rows of that kind that may be selected."""
-    goals = np.asarray(observation["goals"])
-    return _allowed((goals[:, VALID] > 0.5) & (goals[:, KIND] == kind), mask)
+    return rows_where(observation["goals"][:, KIND] == kind, observation, mask)
 
 
-def _allowed(valid: Bools, mask: Mask) -> Ints:
-    return np.flatnonzero(valid if mask is None else valid & np.asarray(mask, np.bool_))
+def rows_where(wanted: Bools, observation: dict[str, Any], mask: Mask) -> Ints:
+    """(k,) the wanted rows (n,) that hold a goal and may be selected."""
+    held = wanted & (observation["goals"][:, VALID] > 0.5)
+    return np.flatnonzero(held if mask is None else held & np.asarray(mask, np.bool_))
 
 
 EXPLORERS = {  # name -> "module:Class", constructed without arguments
@@ -73,10 +74,6 @@ EXPLORERS = {  # name -> "module:Class", constructed without arguments
 OURS = tuple(EXPLORERS)
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"
-LOADERS = {  # suffix of a file -> module and function
-    ".onnx": ("mecp_env.learning.exported", "load_onnx"),
-    "": ("mecp_env.learning.learned", "load"),
-}
 MOST_BYTES = 1_000_000  # of policy.json
 BESIDE = (".json", "_vecnormalize.pkl")  # what belongs to a model file, after its stem
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
@@ -99,8 +96,11 @@ def make_policy(name: str, trust: bool = False) -> Policy:
 
 
 @contextmanager
-def calls_of(name: str) -> Iterator[None]:
-    """What a policy of the user raises in `reset` or `act` becomes a `ConfigError` that names it and the line."""
+def calls_of(name: str, fault: str = "failed", plain: tuple[type[Exception], ...] = ()) -> Iterator[None]:
+    """What a policy of the user raises in `reset` or `act` becomes a `ConfigError` that names it and the line.
+
+    `fault`: what the policy did, in words; errors of the types `plain` need no line.
+    """
     try:
         yield
     except MecpError:
@@ -108,7 +108,8 @@ def calls_of(name: str) -> Iterator[None]:
     except SystemExit as error:
         raise ConfigError(f"policy: {name!r:.80} ends the process ({ended(error)})") from None
     except Exception as error:  # code of the user may raise anything
-        raise ConfigError(f"policy: {name!r:.80} failed: {Failure.of(error).reason}") from error
+        reason = error if isinstance(error, plain) else Failure.of(error).reason
+        raise ConfigError(f"policy: {name!r:.80} {fault}: {reason}") from error
 
 
 def ended(error: SystemExit) -> str:
@@ -122,9 +123,10 @@ def register_policy(name: str, path: str) -> None:
     A name that was registered before is replaced. Raises `ConfigError` for a name of ours, for what is no name, and for
     what is no path of a class.
     """
-    if not isinstance(name, str) or not name.isidentifier() or name in (*OURS, *LEARNED):
-        ours = ", ".join((*OURS, *LEARNED))
-        raise ConfigError(f"name: {shown(name)}, a new name of letters, digits and _ expected (ours: {ours})")
+    ours = (*OURS, *LEARNED)
+    if not isinstance(name, str) or not name.isidentifier() or name in ours:
+        known = ", ".join(ours)
+        raise ConfigError(f"name: {shown(name)}, a new name of letters, digits and _ expected (ours: {known})")
     if not isinstance(path, str) or not CLASS_PATH.fullmatch(path):
         raise ConfigError(f"path: {shown(path)}, expected the text 'module:Class', which worker processes can import")
     EXPLORERS[name] = path
@@ -162,22 +164,14 @@ def training_hours(name: str) -> float | None:
 
 def import_policy(module: str, class_name: str) -> Policy:
     """An instance of a class; modules in the working directory are found, too. Raises `ConfigError`."""
-    here = str(Path.cwd())
+    here, name = str(Path.cwd()), f"{module}:{class_name}"
     if here not in sys.path:
         sys.path.append(here)
-    try:
+    with calls_of(name, "cannot be constructed", (ImportError, AttributeError, TypeError)):
         policy: Policy = getattr(importlib.import_module(module), class_name)()
-    except (ImportError, AttributeError, TypeError) as error:
-        raise ConfigError(f"policy: '{module}:{class_name}' cannot be constructed: {error}") from None
-    except SystemExit as error:  # as from a script without a guard for `__main__`
-        raise ConfigError(f"policy: '{module}:{class_name}' ends the process ({ended(error)})") from None
-    except Exception as error:  # code of the user may raise anything
-        raise ConfigError(
-            f"policy: '{module}:{class_name}' cannot be constructed: {Failure.of(error).reason}"
-        ) from error
-    missing = [name for name in ("actions", "reset", "act") if not hasattr(policy, name)]
+    missing = [part for part in ("actions", "reset", "act") if not hasattr(policy, part)]
     if missing:
-        raise ConfigError(f"policy: '{module}:{class_name}' has no {missing[0]!r}, which every policy needs")
+        raise ConfigError(f"policy: {name!r} has no {missing[0]!r}, which every policy needs")
     return policy
 
 
@@ -185,7 +179,7 @@ def load_learned(name: str, trust: bool = False) -> Policy:
     """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
     if Path(name).suffix == ".py":
         raise ConfigError(f"policy: {name!r:.80} is source code; name a class in it, as {Path(name).stem}:MyPolicy")
-    module, load = LOADERS.get(Path(name).suffix, LOADERS[""])
+    module, _, load = TRAINED.get(Path(name).suffix, TRAINED[""]).partition(":")
     try:
         policy: Policy = getattr(importlib.import_module(module), load)(name, trust)
     except ModuleNotFoundError as error:

@@ -19,27 +19,20 @@ from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.policies.registry import Policy, ended, make_policy
 from mecp_env.policies.setting import Setting
 
+MASKS = "action_masks"
 LEVELS = (0.90, 0.99)
 COMPLETE_COVERAGE = 0.95
 NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
 LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
 KEPT = (  # of the environment's own summary
-    *(
-        "coverage",
-        "correct_coverage",
-        "metres",
-        "periods",
-        "free_area_m2",
-        "rooms",
-        "rooms_found",
-        "doors",
-        "doors_found",
-    ),
+    *("coverage", "correct_coverage", "metres", "periods"),
+    *("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
     *("pose_error_final_m", "lost", "map_rmse_m", "landmarks", "landmarks_false", "duplicates", "contacts"),
 )
 
 Info = dict[str, Any]
 OnStep = Callable[[Info], None]
+See = Callable[[Any], Any]  # from an observation of the environment to that of a policy
 Env = gym.Env[Any, Any]
 
 
@@ -99,9 +92,9 @@ class EpisodeEnd:
     """How an episode ended, and the effort of the policy."""
 
     terminated: bool = False
-    diverged: bool = False
     decisions: int = 0
     act_s: float = 0.0
+    info: Info = field(default_factory=lambda: {"diverged": False})  # of the last action
 
 
 def run_episode(task: EpisodeTask) -> EpisodeResult:
@@ -110,7 +103,7 @@ def run_episode(task: EpisodeTask) -> EpisodeResult:
     env = make_rooms(task.setting, policy, task.building)
     log = StepLog(lambda: pose_cov(env))
     try:
-        end = run_policy(watched(env, log.add), policy, log.add, (task.setting.building(task.building), task.building))
+        end = run_policy(env, policy, log.add, (task.setting.building(task.building), task.building))
     except SystemExit as error:  # which would end the process without a word
         raise ConfigError(f"policy: it ends the process ({ended(error)})") from None
     summary: dict[str, float] = env.get_wrapper_attr("summary")()
@@ -140,40 +133,9 @@ def options_of(policy: Policy) -> dict[str, Any]:
     return {**settings, "actions": policy.actions}
 
 
-def check_observation(policy: Policy, env: Env) -> None:
-    """Raise `ConfigError` where a policy names the space of its observations and an environment has another one."""
-    check = getattr(policy, "check_space", None)
-    if check is not None:
-        check(env.observation_space)
-
-
-def watched(env: Env, on_step: OnStep) -> Env:
-    """`env` that calls `on_step` with the info of every control step, those within drives included."""
-    if env.get_wrapper_attr("config").actions != "goal":
-        return StepCallback(env, on_step)
-    env.set_wrapper_attr("callback", lambda step: on_step(step[4]))
-    env.set_wrapper_attr("observes", False)
-    return env
-
-
-class StepCallback(gym.Wrapper[Any, Any, Any, Any]):
-    """Calls a function after every step, as the callback of `GoalActions` does."""
-
-    def __init__(self, env: Env, on_step: OnStep) -> None:
-        super().__init__(env)
-        self.on_step = on_step
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, Info]:
-        """The step of the wrapped environment."""
-        step = super().step(action)
-        self.on_step(step[4])
-        return step
-
-
 def masks_of(env: Env) -> Callable[[], Any]:
     """A function that returns the mask of the goals; None where actions are no goals."""
-    goals = env.get_wrapper_attr("config").actions == "goal"
-    found: Callable[[], Any] = env.get_wrapper_attr("action_masks") if goals else lambda: None
+    found: Callable[[], Any] = env.get_wrapper_attr(MASKS) if env.has_wrapper_attr(MASKS) else lambda: None
     return found
 
 
@@ -183,22 +145,31 @@ def pose_cov(env: Env) -> Any:
     return np.clip(cov.astype(np.float32), -COV_MAX, COV_MAX)
 
 
-def run_policy(env: Env, policy: Policy, on_step: OnStep, building_seed: tuple[int, int]) -> EpisodeEnd:
-    """Explore a building until the episode ends; `on_step` receives the first info, too."""
+def run_policy(
+    env: Env, policy: Policy, on_step: OnStep, building_seed: tuple[int, int], see: See = lambda observed: observed
+) -> EpisodeEnd:
+    """Explore a building until the episode ends; the policy acts on `see(observation)`.
+
+    `on_step` receives the info of the reset and of every control step, those within drives included.
+    """
     end, (building, seed) = EpisodeEnd(), building_seed
+    drives = env.has_wrapper_attr("callback")  # of `GoalActions`
+    if drives:
+        env.set_wrapper_attr("callback", lambda step: on_step(step[4]))
+        env.set_wrapper_attr("observes", False)
     observation, info = env.reset(seed=seed, options={"building": building})
-    masks = masks_of(env)
     policy.reset(seed)
     on_step(info)
-    ended = False
+    masks, ended = masks_of(env), False
     while not ended:
         start = time.thread_time()
-        action = policy.act(observation, masks())
+        action = policy.act(see(observation), masks())
         end.act_s += time.thread_time() - start
         end.decisions += 1
-        observation, _, end.terminated, truncated, info = env.step(action)
+        observation, _, end.terminated, truncated, end.info = env.step(action)
         ended = end.terminated or truncated
-    end.diverged = bool(info["diverged"])
+        if not drives:
+            on_step(end.info)
     return end
 
 
@@ -216,7 +187,7 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
     return figures | {
         "complete": float(is_complete(end, summary)),
         "terminated": float(end.terminated),
-        "diverged": float(end.diverged),
+        "diverged": float(end.info["diverged"]),
         "decisions": float(end.decisions),
         "reward": log.reward,
         "pose_error_mean_m": float(np.mean(log.pose_errors_m)),

@@ -38,9 +38,14 @@ class Setting:
     env: dict[str, Any] = field(default_factory=dict)  # fields of `EnvConfig` that are changed
 
     @property
+    def name(self) -> str:
+        """That of the task, or the difficulty."""
+        return self.task or self.difficulty
+
+    @property
     def where(self) -> str:
         """The buildings and what is changed, in words."""
-        buildings = f"{self.task or self.difficulty}, split {self.split}"
+        buildings = f"{self.name}, split {self.split}"
         if self.layout:
             buildings = f"{self.place}{f', robot of {self.task}' if self.task else ''}"
         return ", ".join([buildings, *words_of(self.env)])
@@ -102,7 +107,7 @@ def plan_fields(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
     if not exists(path):
         raise ConfigError(f"plans: {path}: no such file or folder")
     layout = {PLAN: {"path": str(path), **reading}}
-    files = plan_paths(layout)
+    files = plan_source(layout).paths
     return {"layout": layout, "plans": len(files), "content": checksum_of(files, path)}
 
 
@@ -110,18 +115,17 @@ def plan_fields(path: Path, reading: Mapping[str, Any]) -> dict[str, Any]:
 def source_of_plans(layout: str, content: str) -> PlanFiles:
     """The plans of a layout (as JSON), which stay read. Raises `ConfigError` where their files are no longer those."""
     given = json.loads(layout)
-    source = make_source(given)
-    assert isinstance(source, PlanFiles)
+    source = plan_source(given)
     if content != checksum_of(source.paths, Path(given[PLAN]["path"])):
         raise ConfigError(f"plans: {given[PLAN]['path']}: files have changed since the evaluation started")
     return source
 
 
-def plan_paths(layout: Mapping[str, Any]) -> tuple[Path, ...]:
-    """The files of the plans of a layout, in the order of their numbers."""
+def plan_source(layout: Mapping[str, Any]) -> PlanFiles:
+    """The plans of a layout, in the order of their numbers."""
     source = make_source(layout)
     assert isinstance(source, PlanFiles)
-    return source.paths
+    return source
 
 
 def plan_names(setting: Setting) -> list[str]:
@@ -129,7 +133,7 @@ def plan_names(setting: Setting) -> list[str]:
     if isinstance(setting.layout, str):
         return []
     place = Path(setting.place)
-    return [str(path.relative_to(place)) if path != place else path.name for path in plan_paths(setting.layout)]
+    return [str(path.relative_to(place)) if path != place else path.name for path in plan_source(setting.layout).paths]
 
 
 def checksum_of(files: tuple[Path, ...], folder: Path) -> str:

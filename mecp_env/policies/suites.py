@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -32,26 +32,6 @@ ESTIMATORS = ("slam", "known", "truth")
 
 
 @dataclass(frozen=True, slots=True)
-class Interval:
-    """A figure of a result file with its 95 % interval."""
-
-    value: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, slots=True)
-class Result:
-    """The part of a result file that belongs to a task, a policy and an estimator."""
-
-    task: str
-    policy: str
-    estimator: str
-    figures: Annotated[dict[str, Interval], BeforeValidator(few)]
-    episodes: Annotated[list[Annotated[dict[str, float], BeforeValidator(few)]], Field(fail_fast=True)]
-
-
-@dataclass(frozen=True, slots=True)
 class Suite:
     """Settings, each with the first so many buildings of its split, and the hash of all that fixes a result."""
 
@@ -59,20 +39,20 @@ class Suite:
     episodes: int
     frozen: str  # `definition_hash` when the suite was published
 
+    @property
+    def tasks(self) -> list[str]:
+        """The names of its settings."""
+        return [setting.name for setting in self.settings]
 
+
+HALLS, CORRIDORS, CHEAP_ROBOT = (
+    Setting("", "test", "slam", 1500, f"Active{name}-v0") for name in ("Halls", "Corridors", "CheapRobot")
+)
+MEDIUM, HARD = (Setting(name, "test", "slam", 3000) for name in ("medium", "hard"))
 SUITES = {
-    "active-v1": Suite(
-        tuple(
-            Setting("", "test", "slam", 1500, task)
-            for task in ("ActiveHalls-v0", "ActiveCorridors-v0", "ActiveCheapRobot-v0")
-        ),
-        200,
-        "f3388a4466800053",
-    ),
-    "active-quick-v1": Suite((Setting("", "test", "slam", 1500, "ActiveHalls-v0"),), 20, "50d59c8d8bb456d8"),
-    "coverage-v1": Suite(
-        tuple(Setting(name, "test", "slam", 3000) for name in ("medium", "hard")), 100, "d1b7f5ea1ca3abcb"
-    ),
+    "active-v1": Suite((HALLS, CORRIDORS, CHEAP_ROBOT), 200, "f3388a4466800053"),
+    "active-quick-v1": Suite((HALLS,), 20, "50d59c8d8bb456d8"),
+    "coverage-v1": Suite((MEDIUM, HARD), 100, "d1b7f5ea1ca3abcb"),
 }
 
 
@@ -80,13 +60,13 @@ def find_suite(name: str) -> Suite:
     """The suite of that name. Raises `ConfigError` for an unknown one, and for one that this version would change."""
     if name not in SUITES:
         raise ConfigError(f"suite: {name!r:.80}, expected one of {', '.join(SUITES)}{guess(name, SUITES)}")
-    found = definition_hash(name)
-    if found != SUITES[name].frozen:
+    suite, found = SUITES[name], definition_hash(name)
+    if found != suite.frozen:
         raise ConfigError(
-            f"suite: {name} was published with the hash {SUITES[name].frozen}, this mecp_env has {found}: "
+            f"suite: {name} was published with the hash {suite.frozen}, this mecp_env has {found}: "
             "its results cannot be compared; install the version that the suite was published with"
         )
-    return SUITES[name]
+    return suite
 
 
 @cache
@@ -128,32 +108,51 @@ class Training:
     hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None
 
-    def named(self) -> dict[str, float]:
-        """The fields that are known."""
-        return {name: value for name, value in (("hours", self.hours), ("seeds", self.seeds)) if value is not None}
+
+@dataclass(frozen=True, slots=True)
+class Interval:
+    """A figure of a result file with its 95 % interval."""
+
+    value: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """The part of a result file that belongs to a task, a policy and an estimator."""
+
+    task: str
+    policy: str
+    estimator: str
+    figures: Annotated[dict[str, Interval], BeforeValidator(few)]
+    episodes: Annotated[list[Annotated[dict[str, float], BeforeValidator(few)]], Field(fail_fast=True)]
 
 
 def submission(
     name: str, rows: Iterable[tuple[Setting, Sequence[Row]]], command: str, training: Training | None = None
 ) -> dict[str, Any]:
     """The result of a suite as JSON data: for each setting and policy the figures, and each episode."""
-    results = [
-        {
-            "task": setting.task or setting.difficulty,
-            "policy": row.policy,
-            "estimator": row.estimator,
-            "figures": {metric: figures_of(row)[metric] for metric in METRICS},
-            "episodes": [
-                {"building": episode.task.building} | {metric: episode.figures[metric] for metric in METRICS}
-                for episode in row.episodes
-            ],
-        }
-        for setting, some in rows
-        for row in some
-    ]
+    results = [result_of(setting, row) for setting, some in rows for row in some]
     content = {"format": FORMAT, "version": VERSION, "suite": name, "hash": SUITES[name].frozen}
-    content |= {"command": command, "commit": commit(), **(training or Training()).named(), "results": results}
+    about = {key: value for key, value in asdict(training or Training()).items() if value is not None}
+    content |= {"command": command, "commit": commit(), **about, "results": results}
     return content | {"checksum": checksum_of(content)}
+
+
+def result_of(setting: Setting, row: Row) -> dict[str, Any]:
+    """The part of a submission that belongs to a row."""
+    figures = figures_of(row)
+    return {
+        "task": setting.name,
+        "policy": row.policy,
+        "estimator": row.estimator,
+        "figures": {metric: figures[metric] for metric in METRICS},
+        "episodes": [
+            {"building": episode.task.building} | {metric: episode.figures[metric] for metric in METRICS}
+            for episode in row.episodes
+        ],
+    }
 
 
 def checksum_of(content: Any) -> str:
@@ -165,51 +164,46 @@ def read_submission(path: Path) -> dict[str, Any]:
     """A result file. Raises `ConfigError` for another format, version or suite, a wrong hash, or a damaged file."""
     try:
         content = read_json(path, MOST_BYTES)
-        found = content.pop("checksum")
-        format_, version, name, frozen = (content[key] for key in ("format", "version", "suite", "hash"))
+        check_content(content.pop("checksum"), content)
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}") from None
+    except ConfigError as error:
+        raise ConfigError(f"{path}: {error}") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise ConfigError(f"{path}: no result of a suite ({type(error).__name__}: {error})") from None
-    if (format_, version) != (FORMAT, VERSION):
-        raise ConfigError(f"{path}: {format_} version {version}, this mecp_env reads {FORMAT} version {VERSION}")
-    check_suite(path, name, frozen)
-    own = checksum_of(content)
-    if found != own:
-        raise ConfigError(f"{path}: its checksum is {found!s:.40}, that of its content {own}; it was changed by hand")
-    check_results(path, content.get("results"), SUITES[name])
-    try:
-        TypeAdapter(Training).validate_python({key: content.get(key) for key in TRAINING})
-    except ValueError as error:
-        raise ConfigError(f"{path}: hours, seeds: {' '.join(str(error).split()):.160}") from None
     return dict(content)
 
 
-def check_suite(path: Path, name: Any, frozen: Any) -> None:
-    """Raise `ConfigError` for the name of no suite, and for a hash that is not that of the suite."""
+def check_content(found: Any, content: Any) -> None:
+    """Raise `ConfigError` for a content that this version does not read, or without the checksum `found`."""
+    format_, version, name, frozen = content["format"], content["version"], content["suite"], content["hash"]
+    if (format_, version) != (FORMAT, VERSION):
+        raise ConfigError(f"{format_} version {version}, this mecp_env reads {FORMAT} version {VERSION}")
     if not isinstance(name, str) or name not in SUITES:
-        raise ConfigError(f"{path}: suite {name!r:.80}, this mecp_env has {', '.join(SUITES)}")
+        raise ConfigError(f"suite {name!r:.80}, this mecp_env has {', '.join(SUITES)}")
     if frozen != SUITES[name].frozen:
-        raise ConfigError(f"{path}: suite {name} with the hash {frozen}, here {SUITES[name].frozen}")
+        raise ConfigError(f"suite {name} with the hash {frozen}, here {SUITES[name].frozen}")
+    if found != (own := checksum_of(content)):
+        raise ConfigError(f"its checksum is {found!s:.40}, that of its content {own}; it was changed by hand")
+    validated("hours, seeds", Training, {key: content.get(key) for key in TRAINING})
+    for row in validated("results", Annotated[list[Result], Field(fail_fast=True)], content.get("results")):
+        check_row(row, SUITES[name].tasks)
 
 
-def check_results(path: Path, results: Any, suite: Suite) -> None:
-    """Raise `ConfigError` for results of another form or task, a name that forges rows, and a missing metric."""
-    try:
-        found = TypeAdapter(Annotated[list[Result], Field(fail_fast=True)]).validate_python(results)
-    except ValueError as error:  # of pydantic, too
-        raise ConfigError(f"{path}: results: {' '.join(str(error).split()):.160}") from None
-    for row in found:
-        check_row(path, row, suite)
-    missing = [(row, metric) for row in found for metric in METRICS if metric not in row.figures]
-    for row, metric in missing[:1]:
-        raise ConfigError(f"{path}: results: {row.policy} in {row.task} has no {metric}")
-
-
-def check_row(path: Path, row: Result, suite: Suite) -> None:
-    """Raise `ConfigError` for a policy whose name would forge rows, another task, and an unknown estimator."""
-    check_name(row.policy, f"{path}: results: policy")
-    tasks = [setting.task or setting.difficulty for setting in suite.settings]
+def check_row(row: Result, tasks: Sequence[str]) -> None:
+    """Raise `ConfigError` for a name that would forge rows, another task or estimator, and a missing metric."""
+    check_name(row.policy, "results: policy")
     for given, known in ((row.task, tasks), (row.estimator, ESTIMATORS)):
         if given not in known:
-            raise ConfigError(f"{path}: results: {given!r:.80}, expected one of {', '.join(known)}")
+            raise ConfigError(f"results: {given!r:.80}, expected one of {', '.join(known)}")
+    missing = [metric for metric in METRICS if metric not in row.figures]
+    if missing:
+        raise ConfigError(f"results: {row.policy} in {row.task} has no {missing[0]}")
+
+
+def validated(what: str, kind: Any, value: Any) -> Any:
+    """`value` as that kind. Raises `ConfigError` that names `what` is wrong."""
+    try:
+        return TypeAdapter(kind).validate_python(value)
+    except ValueError as error:  # of pydantic, too
+        raise ConfigError(f"{what}: {' '.join(str(error).split()):.160}") from None

@@ -25,20 +25,12 @@ def check_mode(mode: str | AutoresetMode) -> AutoresetMode:
         raise ValueError(f"autoreset_mode: {mode!r}, expected one of {names}") from None
 
 
-def check_count(count: int) -> int:
-    """`count` itself. Raises `ValueError` unless it is an integer of at least 1."""
-    if not _is_integer(count) or count < 1:
-        raise ValueError(f"num_envs: {count!r:.80}, expected an integer of at least 1")
-    return int(count)
-
-
-def check_batch_size(size: int | None, count: int) -> int:
-    """`size` itself, or `count` for None. Raises `ValueError` unless it is an integer from 1 to `count`."""
-    if size is None:
-        return count
-    if not _is_integer(size) or not 1 <= size <= count:
-        raise ValueError(f"batch_size: {size!r:.80}, expected an integer from 1 to {count}, or None for all")
-    return int(size)
+def check_integer(name: str, value: Any, most: int | None = None, otherwise: str = "") -> int:
+    """`value` itself. Raises `ValueError` unless it is an integer from 1 to `most`."""
+    if not _is_integer(value) or value < 1 or (most is not None and value > most):
+        bounds = "of at least 1" if most is None else f"from 1 to {most}"
+        raise ValueError(f"{name}: {value!r:.80}, expected an integer {bounds}{otherwise}")
+    return int(value)
 
 
 def check_ids(ids: Any, count: int) -> NDArray[np.intp]:
@@ -57,12 +49,6 @@ def check_copy(copy: bool) -> bool:
     if not isinstance(copy, bool | np.bool_):
         raise ValueError(f"copy: {copy!r:.80}, expected True or False")
     return bool(copy)
-
-
-def check_workers(workers: int | None) -> None:
-    """Raises `ValueError` unless it is an integer of at least 1, or None."""
-    if workers is not None and (type(workers) is not int or workers < 1):
-        raise ValueError(f"workers: {workers!r}, expected an integer of at least 1, or None for as many as fit")
 
 
 def check_seeds(seed: Seeds, count: int) -> list[int | None]:

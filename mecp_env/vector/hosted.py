@@ -27,9 +27,9 @@ from mecp_env.core.processes import Failure, WorkerDied, cores, start_method
 from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.vector.checks import check_workers
-from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
-from mecp_env.vector.worker import Info, Makers, WorkerEnvironments
+from mecp_env.vector.checks import check_integer
+from mecp_env.vector.shared_buffers import Info, observations, record_type
+from mecp_env.vector.worker import Makers, WorkerEnvironments
 from mecp_env.wrappers import GoalActions
 
 
@@ -67,16 +67,11 @@ class Flights:
         Raises `WorkerDied`.
         """
         while len(self._landed) < count:
-            self._wait()
-        return self._pop(sorted(list(self._landed)[:count]))
-
-    def _pop(self, envs: Sequence[int]) -> dict[int, Info | Failure]:
+            for answer in self._pool.arrived():
+                self._land(answer)
+        envs = sorted(list(self._landed)[:count])
         failed = [env for env in envs if isinstance(self._landed[env], Failure)]
         return {env: self._landed.pop(env) for env in failed[:1] or envs}
-
-    def _wait(self) -> None:
-        for answer in self._pool.arrived():
-            self._land(answer)
 
     def _land(self, answer: dict[int, Info | Failure] | Failure) -> None:
         if isinstance(answer, Failure):  # an answer that could not be sent: nothing is known of its environments
@@ -117,18 +112,19 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         if not makers:
             raise ValueError("num_envs: 0, expected at least 1")
         self.num_envs, self._mode = len(makers), mode
-        check_workers(workers)
+        if workers is not None:
+            check_integer("workers", workers, otherwise=", or None for as many as fit")
         method = start_method(context)
-        fields = self._describe(makers[0]())
+        kinds = self._describe(makers[0]())
         self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
         local = workers is None and (not self.masked or self.num_envs == 1)  # a drive would delay what `recv` returns
-        memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
-        self._buffers = lay_out(fields, memory)
-        self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
+        memory = multiprocessing.get_context(method).RawArray("B", self.num_envs * kinds[0].itemsize)
+        self._records = np.frombuffer(memory, kinds[0])
+        self._seen = observations(self._records)
         self._pending: str | None = None
         if len(self._slices) > local:
             share_functions(method)
-        self._pool = WorkerPool(self._targets(makers, fields, memory), method, local)
+        self._pool = WorkerPool(self._targets(makers, memory, kinds), method, local)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
         self.closed = False
@@ -188,8 +184,8 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         """The seeds of the environments."""
         return self.get_attr("np_random_seed")
 
-    def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
-        """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
+    def _describe(self, env: gymnasium.Env[Any, Any]) -> tuple[np.dtype[Any], Any, Any]:
+        """Take spaces and metadata from an environment of the batch's kind; the type of its record, and its spaces.
 
         The environment runs for a step, so that the cache has what every step calls.
         """
@@ -203,14 +199,13 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         choices = _masked_choices(env)
         self.masked = choices > 0
         env.close()
-        return plan_fields(self.num_envs, env.observation_space, info, choices)
+        return record_type(env.observation_space, info, choices), env.observation_space, env.action_space
 
-    def _targets(self, makers: Makers, fields: Fields, memory: Any) -> dict[str, WorkerEnvironments]:
+    def _targets(self, makers: Makers, memory: Any, kinds: tuple[np.dtype[Any], Any, Any]) -> dict[str, Any]:
         """What each worker holds, by the name of the worker."""
-        kinds = self.single_observation_space, self.single_action_space
         return {
             f"worker {number} (environments {own[0]} to {own[-1]})": WorkerEnvironments(
-                own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds
+                own.start, makers[own.start : own.stop], memory, self._mode, kinds
             )
             for number, own in enumerate(self._slices)
         }
@@ -239,20 +234,16 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
 
     def _begin(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         self._pending = name
-        try:
+        with self._closed_by(WorkerDied):
             self._pool.ask(name, arguments)
-        except WorkerDied:
-            self.close()
-            raise
 
     def _answers(self) -> list[Any]:
-        try:
-            answers = self._pool.gather()
-        except Exception as error:
-            self._pending = None
-            if isinstance(error, WorkerDied):
-                self.close()
-            raise
+        with self._closed_by(WorkerDied):
+            try:
+                answers = self._pool.gather()
+            except Exception:  # after Ctrl-C, the answers are still to come
+                self._pending = None
+                raise
         self._pending = None
         return answers
 

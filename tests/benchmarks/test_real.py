@@ -36,7 +36,7 @@ def test_a_home_is_explored_and_drawn(maps: Path) -> None:
     assert visit["seen"]
     assert not visit["early"]
     assert figures[real.EXPLORED][HOUSE]["precision"]["value"] > 0.98
-    assert "## Explorations\n\n|  | 0a1b29db... |" in real.report(figures)
+    assert "## Explorations\n\n| | 0a1b29db... |" in real.report(figures)
     (axes,) = (axes for axes in real.figure(figures).axes if axes.get_title())
     assert axes.get_title().startswith("0a1b29db...:\n116 m2, pose RMSE ")
 

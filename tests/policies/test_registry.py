@@ -65,6 +65,12 @@ def test_explorers_load_nothing_of_learning() -> None:
     assert not {"torch", "stable_baselines3", "sb3_contrib", "mecp_env.learning.learned"} & set(done.stdout.split())
 
 
+def test_policies_do_not_name_the_folders_above_them() -> None:
+    """What loads a trained policy is named at the root, beside the entry points of the environments."""
+    sources = (Path(__file__).parents[2] / "mecp_env" / "policies").glob("*.py")
+    assert not [path.name for path in sources if re.search(r"mecp_env\.(learning|cli)\b", path.read_text())]
+
+
 def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatch) -> None:
     text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
     code = re.search(r"```python\n(.*?)```", text, re.DOTALL)
