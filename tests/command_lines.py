@@ -100,10 +100,14 @@ def _docstrings(tree: ast.Module) -> Iterator[str]:
             yield text
 
 
+def modules_of_page() -> dict[str, str]:
+    """The code of each module of docs/own-parts.md by its name."""
+    page = (ROOT / "docs/own-parts.md").read_text()
+    return {name: text for text, name in re.findall(r'```python\n("""(\w+)\.py""".*?)```', page, re.DOTALL)}
+
+
 def written_modules(folder: Path) -> list[str]:
     """The names of the modules of docs/own-parts.md, which are written to a folder."""
-    page = (ROOT / "docs/own-parts.md").read_text()
-    modules = re.findall(r'```python\n("""(\w+)\.py""".*?)```', page, re.DOTALL)
-    for text, name in modules:
+    for name, text in modules_of_page().items():
         (folder / f"{name}.py").write_text(text)
-    return [name for _, name in modules]
+    return list(modules_of_page())

@@ -102,7 +102,7 @@ def test_the_python_of_the_readme_runs(capsys: Captured) -> None:
 def test_the_estimator_runs_alone_as_documented(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
-    record, run, localise, configure, _ = re.findall(  # tests/slam/test_own_stream.py runs the last one
+    _, record, run, localise, configure = re.findall(  # tests/slam/test_own_stream.py runs the first one
         r"```python\n(.*?)```", (ROOT / "docs/estimator.md").read_text(), re.DOTALL
     )
     monkeypatch.chdir(tmp_path)

@@ -1,4 +1,4 @@
-"""Buildings of a registered generator (docs/layouts.md)."""
+"""Buildings of a registered generator (docs/own-parts.md)."""
 
 from __future__ import annotations
 
@@ -16,8 +16,9 @@ from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.env import MecpEnv
 from mecp_env.episode import buildings
 from mecp_env.episode.buildings import make_source, register_buildings
+from tests.command_lines import modules_of_page
 
-PAGE = Path(__file__).parents[2] / "docs/layouts.md"
+PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
 
 
 @pytest.fixture
@@ -33,17 +34,17 @@ def registered() -> Iterator[None]:
 @pytest.fixture
 def rows(monkeypatch: pytest.MonkeyPatch, registered: None) -> types.ModuleType:
     """The module of the page."""
-    code, _ = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
     made = types.ModuleType("rows")
-    exec(code, made.__dict__)
+    exec(modules_of_page()["rows"], made.__dict__)
     monkeypatch.setitem(sys.modules, "rows", made)
     return made
 
 
 def test_the_code_of_the_page_runs(rows: types.ModuleType) -> None:
-    _, use = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.DOTALL)
+    use = re.search(r"```python\n(import gymnasium as gym\nimport rows\n.*?)```", PAGE.read_text(), re.DOTALL)
+    assert use is not None
     env = {}
-    exec(use, env)
+    exec(use[1], env)
     assert env["env"].unwrapped.summary()["rooms"] == 5
 
 

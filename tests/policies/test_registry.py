@@ -16,6 +16,7 @@ from mecp_env.policies import registry
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import EpisodeTask, Setting, options_of, run_episode
+from tests.command_lines import modules_of_page
 
 
 @pytest.mark.parametrize("name", registry.EXPLORERS)
@@ -72,11 +73,8 @@ def test_policies_do_not_name_the_folders_above_them() -> None:
 
 
 def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatch) -> None:
-    text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
-    code = re.search(r"```python\n(.*?)```", text, re.DOTALL)
-    assert code is not None
     made = types.ModuleType("farthest")
-    exec(code[1], made.__dict__)
+    exec(modules_of_page()["farthest"], made.__dict__)
     monkeypatch.setitem(sys.modules, "farthest", made)
     episode = run_episode(EpisodeTask("farthest:Farthest", 0, Setting("easy", "validation", "slam", 60)))
     assert episode.figures["coverage"] > 0.3

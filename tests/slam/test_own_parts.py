@@ -37,7 +37,8 @@ OWN = {
 def own(own_parts: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, ModuleType]:
     """The modules of the page, imported; their registrations are removed afterwards."""
     monkeypatch.syspath_prepend(own_parts)
-    return {name: importlib.import_module(name) for name in written_modules(own_parts)}
+    written_modules(own_parts)
+    return {name: importlib.import_module(name) for name in ("global_nearest", "plain_ekf", "both")}
 
 
 def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[str, ModuleType]) -> None:
