@@ -1,4 +1,4 @@
-"""`mecp-env evaluate | submit | leaderboard`: compare policies in the same buildings, or in a frozen benchmark."""
+"""The commands `evaluate`, `submit` and `leaderboard`: compare policies in the same buildings, or in a frozen benchmark."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mecp-env explore | record-dataset`: episodes of a policy, option by option, or as a Minari dataset."""
+"""The commands `explore` and `record-dataset`: episodes of a policy, option by option, or as a Minari dataset."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`mecp-env slam | export`: the estimator on a recorded log, and what is in a saved map, for other programs."""
+"""The commands `slam` and `export`: the estimator on a recorded log, and what is in a saved map, for other programs."""
 
 from __future__ import annotations
 

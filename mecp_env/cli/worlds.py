@@ -1,4 +1,4 @@
-"""`mecp-env worlds list | draw | generate | validate | convert | stats`: buildings as files, pictures and figures."""
+"""The commands of `mecp-env worlds`: buildings as files, pictures and figures."""
 
 from __future__ import annotations
 
