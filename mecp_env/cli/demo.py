@@ -1,4 +1,4 @@
-"""The commands `demo`, `one-scan` and `replay`: explore a building by the robot's own map, and look at what was kept."""
+"""The commands `demo`, `one-scan` and `replay`: explore a building by the robot's map, and look at what was kept."""
 
 from __future__ import annotations
 

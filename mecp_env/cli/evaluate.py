@@ -1,4 +1,4 @@
-"""The commands `evaluate`, `submit` and `leaderboard`: compare policies in the same buildings, or in a frozen benchmark."""
+"""The commands `evaluate`, `submit` and `leaderboard`: compare policies in the same buildings, or in a benchmark."""
 
 from __future__ import annotations
 
