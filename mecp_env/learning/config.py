@@ -25,7 +25,7 @@ CONFIG, MOST_CONFIG_BYTES = "config.json", 1_000_000  # the name in a run folder
 SPEC = GeneratorSpec.model_fields
 WORDS = {*SPEC["shapes"].default, *SPEC["pieces"].default}  # possible values of the fields with words
 FIELDS: dict[str, Any] = {name: (field.annotation, field) for name, field in SPEC.items()}
-BuildingFields = create_model("BuildingFields", __base__=Settings, **FIELDS)
+_BuildingFields = create_model("_BuildingFields", __base__=Settings, **FIELDS)
 DERIVED = {
     "layout": "a run has it from its buildings; say buildings.layout (--buildings.layout)",
     "actions": "follows from the algorithm: maskable_ppo chooses goals, ppo and recurrent_ppo velocities",
@@ -104,7 +104,7 @@ class BuildingsConfig(Settings):
     @classmethod
     def _fields_of_a_building(cls, spec: dict[str, Any]) -> dict[str, Any]:
         """The values as `GeneratorSpec` has them; whether they fit each other depends on the difficulty."""
-        made = BuildingFields(**spec)
+        made = _BuildingFields(**spec)
         return {name: getattr(made, name) for name in spec}
 
     @model_validator(mode="after")
