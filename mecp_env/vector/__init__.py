@@ -8,7 +8,6 @@ from typing import Any
 
 import gymnasium
 
-from mecp_env import ENVIRONMENTS
 from mecp_env.core.processes import WorkerDied, WorkerError
 from mecp_env.vector.batch import BatchEnv
 from mecp_env.vector.checks import check_integer
@@ -37,5 +36,11 @@ def _make(name: str, wrappers: tuple[Callable[[Any], Any], ...], keywords: dict[
     return env
 
 
-for _id, _entry in ENVIRONMENTS.items():  # `make_rooms` and so on, as the registry of Gymnasium names them
-    globals()[_entry.partition(":")[2]] = partial(make_batch, _id)
+make_first = partial(make_batch, "mecp_env/First-v0")
+make_paper_map = partial(make_batch, "mecp_env/PaperMap-v0")
+make = partial(make_batch, "mecp_env/Layout-v0")
+make_rooms = partial(make_batch, "mecp_env/Rooms-v0")
+make_floor_plan = partial(make_batch, "mecp_env/FloorPlan-v0")
+make_active_halls = partial(make_batch, "mecp_env/ActiveHalls-v0")
+make_active_corridors = partial(make_batch, "mecp_env/ActiveCorridors-v0")
+make_active_cheap_robot = partial(make_batch, "mecp_env/ActiveCheapRobot-v0")

@@ -12,9 +12,11 @@ from numpy.typing import NDArray
 from mecp_env.core.processes import Failure, WorkerDied
 from mecp_env.vector.checks import Seeds, check_copy, check_ids, check_integer, check_mode, check_options, check_seeds
 from mecp_env.vector.hosted import HostedEnvs
-from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, Bools, Info, Infos, batched_infos
-from mecp_env.vector.worker import Makers
+from mecp_env.vector.infos import batched_infos
+from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, copied
+from mecp_env.vector.worker import Info, Infos, Makers
 
+Bools = NDArray[np.bool_]
 Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
 
@@ -66,7 +68,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
         self._stale = self._stale | chosen
         infos = self._ask("reset", [(seeds[s.start : s.stop], rest, chosen[s.start : s.stop]) for s in self._slices])
         self._fresh, self._stale = self._fresh & ~chosen, self._stale & ~chosen
-        return self._observations(), self._batched(infos, chosen)
+        return self._observations(), self._batched(infos, copied(self._records), chosen)
 
     def step(self, actions: Any) -> Step:
         """One step in every environment: observations, rewards (N,), terminated (N,), truncated (N,), infos."""
@@ -87,9 +89,10 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
             raise NoAsyncCallError("step_wait() without step_async()", "step")
         self._stale = ~self._fresh  # should an environment raise
         infos = self._answers()
-        reward, terminated, truncated = (self._records[name].copy() for name in RESULT[:3])
+        records = copied(self._records)
+        reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
         self._stale = self._must_reset(terminated | truncated)
-        return self._observations(), reward, terminated, truncated, self._batched(infos, ~self._fresh)
+        return self._observations(), reward, terminated, truncated, self._batched(infos, records, ~self._fresh)
 
     def async_reset(self, *, seed: Seeds = None, options: dict[str, Any] | None = None) -> None:
         """Have the workers begin new episodes, as `reset` would; `recv` returns the first observations, with reward 0.
@@ -129,13 +132,9 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
             raise NoAsyncCallError("recv() without send() or async_reset()", "recv")
         with self._closed_by(Exception):
             landed = self._flights.take(min(self.batch_size, len(self._flights)))
-        rest = {row: self._checked(env, answer) for row, (env, answer) in enumerate(landed.items())}
-        envs = np.array(list(landed))
-        records = self._records[envs]
-        reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
-        self._fresh[envs], self._stale[envs] = False, self._must_reset(terminated | truncated)
+        envs, records, rest = self._landed(landed)
         infos = batched_infos(records, np.ones(len(envs), np.bool_), rest, self._add_info)
-        return self._observations(envs), reward, terminated, truncated, infos | {"env_id": envs}
+        return *self._results(envs, records), infos | {"env_id": envs}
 
     def action_masks(self, env_ids: Any = None) -> Bools:
         """(n,32) which rows of each observation hold a goal, of `env_ids` or all environments; no worker is asked.
@@ -143,7 +142,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
         Raises `AttributeError` without goal actions, `ResetNeeded` before the first `reset`, and
         `AlreadyPendingCallError` for an environment that is under way.
         """
-        masks: Bools = self._records[MASK]
+        masks: Bools = self._buffers[MASK]
         if not self.masked:
             raise AttributeError("action_masks: these environments have none; those with actions='goal' have")
         envs = check_ids(env_ids, self.num_envs)
@@ -164,13 +163,23 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
         with self._closed_by(WorkerDied):
             self._flights.send(name, items)
 
-    def _checked(self, env: int, answer: Info | Failure) -> Info:
-        """The rest of the info of an environment. Raises its exception."""
-        if isinstance(answer, Failure):
-            self._stale[env] = True
-            answer.error.add_note(answer.note)
-            raise answer.error
-        return answer
+    def _landed(self, landed: dict[int, Info | Failure]) -> tuple[NDArray[np.intp], NDArray[Any], Infos]:
+        """Numbers, records and, by row, the rests of the infos of environments. Raises the exception of one of them."""
+        rest: Infos = {}
+        for row, (env, answer) in enumerate(landed.items()):
+            if isinstance(answer, Failure):
+                self._stale[env] = True
+                answer.error.add_note(answer.note)
+                raise answer.error
+            rest[row] = answer
+        envs = np.array(list(landed))
+        return envs, self._records[envs], rest
+
+    def _results(self, envs: NDArray[np.intp], records: NDArray[Any]) -> tuple[Any, NDArray[np.float64], Bools, Bools]:
+        """Observations, rewards, terminated and truncated of environments that have come back."""
+        reward, terminated, truncated = (records[name].copy() for name in RESULT[:3])
+        self._fresh[envs], self._stale[envs] = False, self._must_reset(terminated | truncated)
+        return self._observations(envs), reward, terminated, truncated
 
     def _observations(self, envs: Any = None) -> Any:
         """Of the environments `envs`, or of all; of all, views unless the batch copies."""
@@ -180,7 +189,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
             seen = {name: array.copy() if self.copy else array for name, array in self._seen.items()}
         return seen.get(ALONE, seen)
 
-    def _batched(self, shared: list[Infos], chosen: Bools) -> Info:
-        """The infos of the chosen environments."""
+    def _batched(self, shared: list[Infos], records: NDArray[Any], chosen: Bools) -> dict[str, Any]:
+        """The infos of the chosen environments as Gymnasium batches them: an array and a mask for each key."""
         rest = {env: info for part in shared for env, info in part.items()}
-        return batched_infos(self._records, chosen, rest, self._add_info)
+        return batched_infos(records, chosen, rest, self._add_info)

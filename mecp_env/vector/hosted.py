@@ -28,8 +28,8 @@ from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.vector.checks import check_integer
-from mecp_env.vector.shared_buffers import Info, observations, record_type
-from mecp_env.vector.worker import Makers, WorkerEnvironments
+from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
+from mecp_env.vector.worker import Info, Makers, WorkerEnvironments
 from mecp_env.wrappers import GoalActions
 
 
@@ -115,16 +115,16 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         if workers is not None:
             check_integer("workers", workers, otherwise=", or None for as many as fit")
         method = start_method(context)
-        kinds = self._describe(makers[0]())
+        fields = self._describe(makers[0]())
         self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
         local = workers is None and (not self.masked or self.num_envs == 1)  # a drive would delay what `recv` returns
-        memory = multiprocessing.get_context(method).RawArray("B", self.num_envs * kinds[0].itemsize)
-        self._records = np.frombuffer(memory, kinds[0])
-        self._seen = observations(self._records)
+        memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
+        self._buffers = lay_out(fields, memory)
+        self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
         self._pending: str | None = None
         if len(self._slices) > local:
             share_functions(method)
-        self._pool = WorkerPool(self._targets(makers, memory, kinds), method, local)
+        self._pool = WorkerPool(self._targets(makers, fields, memory), method, local)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
         self.closed = False
@@ -184,8 +184,8 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         """The seeds of the environments."""
         return self.get_attr("np_random_seed")
 
-    def _describe(self, env: gymnasium.Env[Any, Any]) -> tuple[np.dtype[Any], Any, Any]:
-        """Take spaces and metadata from an environment of the batch's kind; the type of its record, and its spaces.
+    def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
+        """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
 
         The environment runs for a step, so that the cache has what every step calls.
         """
@@ -199,13 +199,14 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         choices = _masked_choices(env)
         self.masked = choices > 0
         env.close()
-        return record_type(env.observation_space, info, choices), env.observation_space, env.action_space
+        return plan_fields(self.num_envs, env.observation_space, info, choices)
 
-    def _targets(self, makers: Makers, memory: Any, kinds: tuple[np.dtype[Any], Any, Any]) -> dict[str, Any]:
+    def _targets(self, makers: Makers, fields: Fields, memory: Any) -> dict[str, WorkerEnvironments]:
         """What each worker holds, by the name of the worker."""
+        kinds = self.single_observation_space, self.single_action_space
         return {
             f"worker {number} (environments {own[0]} to {own[-1]})": WorkerEnvironments(
-                own.start, makers[own.start : own.stop], memory, self._mode, kinds
+                own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds
             )
             for number, own in enumerate(self._slices)
         }

@@ -1,32 +1,59 @@
-"""Shared memory of a batch: a record of each environment with its observation, mask, result and numbers of its info."""
+"""Shared memory of a batch: arrays of observations and masks, and a record of each environment with all its numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-SEEN, MASK, INFO = "seen", "mask", "info"  # parts of a record
-RESULT = ["reward", "terminated", "truncated", "listed"]  # its others; `listed`: the info has all keys of the record
+ALIGNMENT = 64  # bytes; a line of the processor's cache
+OBSERVATION, INFO = "observation/", "info/"  # prefixes of the names of fields, and of the numbers in a record
+MASK, RECORD = "mask", "record"
+RESULT = ("reward", "terminated", "truncated", "listed")  # first in a record; `listed`: its info has all keys
 ALONE = ""  # the name of an observation that is no Dict
-NUMBERS = (bool, int, float, np.number, np.bool_, np.ndarray)
-Bools = NDArray[np.bool_]
-Info = dict[str, Any]
-Infos = dict[int, Info]  # by number of the environment, or by row: the part of its info that has no place in a record
-Add = Callable[[Info, Info, int], Info]  # Gymnasium's own `_add_info`
 
 
-def record_type(space: spaces.Space[Any], info: Info, masks: int) -> np.dtype[Any]:
-    """The record of an environment with that observation space, an `info` like this, and a mask of so many choices."""
-    kinds = {name: (box.dtype, box.shape) for name, box in boxes(space).items()}
-    given = {name: np.asarray(value) for name, value in info.items() if isinstance(value, NUMBERS)}
-    numbers = {name: (value.dtype, value.shape) for name, value in given.items() if value.dtype.kind in "biuf"}
-    results = dict(zip(RESULT, "d???", strict=True))
-    seen = kinds.get(ALONE) or aligned(kinds)
-    return aligned({SEEN: seen, MASK: ("?", (masks,)), **results, INFO: aligned(numbers)})
+@dataclass(frozen=True, slots=True)
+class Field:
+    """An array of the shared buffers: a row for each environment."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def bytes(self) -> int:
+        return int(np.prod(self.shape)) * self.dtype.itemsize
+
+
+Fields = dict[str, Field]
+SharedBuffers = dict[str, NDArray[Any]]
+
+
+def plan_fields(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks: int) -> Fields:
+    """The fields for `n` environments with an observation space, an `info` as theirs, and masks of so many choices.
+
+    Raises `ValueError` for an observation space that is neither a Box nor a Dict of them.
+    """
+    rows: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
+    rows = {OBSERVATION + name: (box.shape, np.dtype(box.dtype)) for name, box in boxes(space).items()}
+    rows |= {MASK: ((masks,), np.dtype(np.bool_)), RECORD: ((), record_type(info))}
+    return {name: Field((n, *shape), dtype) for name, (shape, dtype) in rows.items()}
+
+
+def record_type(info: Mapping[str, Any]) -> np.dtype[Any]:
+    """The numbers of one environment, side by side: reward, ends, and the numbers of its info."""
+    kinds: list[Any] = list(zip(RESULT, ("f8", "?", "?", "?"), strict=True))
+    kinds += [(INFO + name, number.dtype, number.shape) for name, number in numbers(info).items()]
+    return np.dtype(kinds, align=True)
+
+
+def info_names(record: np.dtype[Any]) -> list[str]:
+    """The keys of an info that a record holds."""
+    return [name.removeprefix(INFO) for name in record.names or () if name.startswith(INFO)]
 
 
 def boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
@@ -34,41 +61,44 @@ def boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
     parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {ALONE: space}
     for name, part in parts.items():
         if not isinstance(part, spaces.Box):
-            place = name and f" {name!r}"
-            raise ValueError(f"observation space{place}: {part!r:.80}, a batch takes Box, or Dict of Box")
+            raise ValueError(
+                f"observation space{name and f' {name!r}'}: {part!r:.80}, a batch takes Box, or Dict of Box"
+            )
     return parts  # type: ignore[return-value]
 
 
-def aligned(fields: Mapping[str, Any]) -> np.dtype[Any]:
-    """The type with those fields, each where a processor reads it at once."""
-    return np.dtype({"names": list(fields), "formats": list(fields.values())}, align=True)
+def numbers(info: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """The entries of an info that are numbers, or arrays of numbers; the others travel by message."""
+    kinds = (bool, int, float, np.number, np.bool_, np.ndarray)
+    given = {name: np.asarray(value) for name, value in info.items() if isinstance(value, kinds)}
+    return {name: value for name, value in given.items() if value.dtype.kind in "biuf"}
 
 
-def names_of(values: NDArray[Any]) -> tuple[str, ...]:
-    """The names of the fields; none of an array of plain numbers."""
-    return values.dtype.names or ()
+def memory_bytes(fields: Fields) -> int:
+    """How much memory the fields need."""
+    return sum(_padded(field) for field in fields.values())
 
 
-def observations(records: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """The parts of the observations in records (n,) by name, as views."""
-    seen = records[SEEN]
-    return {name: seen[name] for name in names_of(seen)} or {ALONE: seen}
+def lay_out(fields: Fields, memory: Any) -> SharedBuffers:
+    """The arrays of the fields in a block of memory, the same in every process."""
+    buffers, offset = {}, 0
+    for name, field in fields.items():
+        count = int(np.prod(field.shape))
+        flat = np.frombuffer(memory, field.dtype, count, offset) if count else np.zeros(0, field.dtype)
+        buffers[name] = flat.reshape(field.shape)
+        offset += _padded(field)
+    return buffers
 
 
-def batched_infos(records: NDArray[Any], chosen: Bools, rest: Infos, add: Add) -> Info:
-    """The infos of the chosen environments, as Gymnasium batches them: for each key an array, and a mask of its owners.
-
-    The numbers of their records (n,), and the `rest` by row of these; `add` makes arrays with a row for each
-    environment of the batch, at least n.
-    """
-    listed, infos = records["listed"] & chosen, Info()
-    for name in names_of(records[INFO]) if listed.any() else ():
-        infos[name], infos[f"_{name}"] = records[INFO][name].copy(), listed.copy()
-        infos[name][~listed] = 0
-    for row, info in rest.items():
-        infos = add(infos, info, row)
-    return _first_rows(infos, len(records))
+def below(buffers: SharedBuffers, prefix: str) -> SharedBuffers:
+    """The arrays whose names have the `prefix`, by the rest of their names."""
+    return {name.removeprefix(prefix): array for name, array in buffers.items() if name.startswith(prefix)}
 
 
-def _first_rows(infos: Info, count: int) -> Info:
-    return {name: _first_rows(part, count) if isinstance(part, dict) else part[:count] for name, part in infos.items()}
+def copied(records: NDArray[Any]) -> NDArray[Any]:
+    """A copy of records (n,) as a whole; NumPy copies them field by field."""
+    return records.view(np.uint8).copy().view(records.dtype)
+
+
+def _padded(field: Field) -> int:
+    return -(-field.bytes // ALIGNMENT) * ALIGNMENT

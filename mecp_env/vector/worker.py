@@ -7,31 +7,44 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.vector import AutoresetMode
 
 from mecp_env.core import processes
 from mecp_env.core.processes import Failure
-from mecp_env.vector.shared_buffers import ALONE, INFO, MASK, RESULT, Info, Infos, names_of, observations
+from mecp_env.vector.shared_buffers import (
+    ALONE,
+    MASK,
+    OBSERVATION,
+    RECORD,
+    RESULT,
+    Fields,
+    SharedBuffers,
+    below,
+    info_names,
+    lay_out,
+)
 
 Makers = Sequence[Callable[[], gymnasium.Env[Any, Any]]]
+Info = dict[str, Any]
+Infos = dict[int, Info]  # by number of the environment: the part of its info that has no place in the buffers
 Result = tuple[float, bool, bool]  # reward, terminated, truncated
 NOTHING: Result = (0.0, False, False)  # of a reset
 ANSWER_S = 0.004  # while there is more to do, what is finished is reported so often; an answer costs 0.1 ms
 
 
 class WorkerEnvironments:
-    """The environments of one worker and their records; it is made before the worker is started."""
+    """The environments of one worker and their rows of the shared buffers; it is made before the worker is started."""
+
+    _buffers: SharedBuffers
+    _seen: SharedBuffers
+    _listed: dict[str, None]  # the keys of an info that a record holds
 
     def __init__(
-        self, first: int, makers: Makers, memory: Any, mode: AutoresetMode, kinds: tuple[np.dtype[Any], Any, Any]
+        self, first: int, makers: Makers, fields: Fields, memory: Any, mode: AutoresetMode, spaces: tuple[Any, Any]
     ) -> None:
-        """`first`: number of its first environment; `memory`: of the records of the batch.
-
-        `kinds`: the type of a record, and the spaces of an observation and of an action, as in the batch.
-        """
+        """`first`: number of its first environment; `spaces`: of an observation and of an action, as in the batch."""
         self.env = self.first = first  # `env`: the one at work, for error messages
-        self._makers, self._memory, self._mode, self._record, self._spaces = makers, memory, mode, kinds[0], kinds[1:]
+        self._makers, self._fields, self._memory, self._mode, self._spaces = makers, fields, memory, mode, spaces
         self._envs: list[gymnasium.Env[Any, Any]] = []
         self._masks: list[Callable[[], Any]] = []
         self._over = [False] * len(makers)
@@ -43,16 +56,15 @@ class WorkerEnvironments:
 
     def open(self) -> None:
         """Make the environments. Raises `ValueError` for one with other spaces than the batch has."""
-        records = np.frombuffer(self._memory, self._record)[self.first :]
-        self._seen, self._shown = observations(records), records[MASK]
-        self._results, self._numbers = records[RESULT], records[INFO]
-        self._listed = dict.fromkeys(names_of(self._numbers))
+        self._buffers = lay_out(self._fields, self._memory)
+        self._seen = below(self._buffers, OBSERVATION)
+        self._listed = dict.fromkeys(info_names(self._buffers[RECORD].dtype))
         for env, maker in enumerate(self._makers, self.first):
             self.env = env
             self._envs.append(maker())
             if (self._envs[-1].observation_space, self._envs[-1].action_space) != self._spaces:
                 raise ValueError(f"environment {env} has other spaces than the first one")
-        if self._shown.size:
+        if self._buffers[MASK].size:
             self._masks = [env.get_wrapper_attr("action_masks") for env in self._envs]
 
     def reset(self, seeds: Sequence[int | None], options: dict[str, Any] | None, chosen: Sequence[bool]) -> Infos:
@@ -128,17 +140,20 @@ class WorkerEnvironments:
         return self._show(place, observation, info, result)
 
     def _show(self, place: int, observation: Any, info: Info, result: Result) -> Info:
-        """Write all to the record; the part of the info without a place there is returned."""
+        """Write all to the buffers; the part of the info without a place there is returned."""
+        row = self.first + place
         parts = observation if isinstance(observation, dict) else {ALONE: observation}
         for name, array in self._seen.items():
-            array[place] = parts[name]
+            array[row] = parts[name]
         self._show_mask(place)
-        listed = info.keys() >= self._listed.keys()
-        self._results[place] = *result, listed
-        if listed:
-            self._numbers[place] = tuple(map(info.__getitem__, self._listed))
-        return {name: value for name, value in info.items() if not (listed and name in self._listed)}
+        records = self._buffers[RECORD]
+        if not info.keys() >= self._listed.keys():
+            for name, value in zip(RESULT, (*result, False), strict=True):
+                records[name][row] = value
+            return info
+        records[row] = (*result, True, *map(info.__getitem__, self._listed))
+        return {name: value for name, value in info.items() if name not in self._listed}
 
     def _show_mask(self, place: int) -> None:
         if self._masks and self._started[place]:
-            self._shown[place] = self._masks[place]()
+            self._buffers[MASK][self.first + place] = self._masks[place]()
