@@ -15,7 +15,9 @@ import numpy as np
 import pytest
 
 from mecp_env.core.snapshot import FileKind, StateError, decode, encode, load_snapshot, save_snapshot
+from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import FEATURE
+from mecp_env.slam.rooms.doors import RoomLimits
 from tests.env.helpers import drive, make, same
 
 KIND = FileKind("mecp_env test", 3, "0.1.0")
@@ -221,3 +223,16 @@ def test_a_key_that_python_would_hash_for_ever_is_refused() -> None:
         nested = {"@tuple": [nested, {"@same": 61 - number}]}
     with pytest.raises(StateError, match="a key of more than"):
         decode({"@dict": [[nested, 1]]})
+
+
+def test_a_class_of_an_older_file_is_found_where_it_is_now() -> None:
+    limits = RoomLimits.of(SlamConfig())
+    data = encode(limits)
+    name = data["@object"][0]
+    data["@object"][0] = name.replace("rooms.doors", "rooms.limits")  # a file that has been joined with that of doors
+    assert name != data["@object"][0]
+    assert decode(data) == limits
+    for wrong in ("mecp_env.slam.rooms.limits:RoomLimit", "mecp_env.slam.gone.limits:Path", "mecp_env.cli.gone:Demo"):
+        data["@object"][0] = wrong
+        with pytest.raises(StateError):
+            decode(data)

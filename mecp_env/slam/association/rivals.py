@@ -1,12 +1,8 @@
 """Rival associators, for comparison only: nearest neighbour and its variants, `jcbb`, `ccda`, `mecp_paper`.
 
-The baseline: gated nearest neighbour over the whole map, one to one (individual compatibility, ICNN).
-
-Nearest neighbour with the corner descriptor: what descriptors alone are worth.
-
-Nearest neighbour within the room: what rooms alone are worth.
-
-Association to the letter of the paper (III-B): kept beside ours so that each reading can be measured.
+`nearest` is the baseline: gated nearest neighbour over the whole map, one to one (individual compatibility, ICNN);
+`nearest_descriptor` and `nearest_room` show what descriptors alone and rooms alone are worth. `mecp_paper` is the paper
+to the letter (III-B), kept so that each reading can be measured.
 
 Combined constraint data association (CCDA): the largest set of pairs that agree on all distances.
 
@@ -34,6 +30,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import ClassVar
 
 import numpy as np
 
@@ -63,14 +60,6 @@ class NearestAssociator(Associator):
         return builder.classify_unmatched(nis, self.config.ignore_gate).match()
 
 
-def pair_masked(corners: Corners, view: MapView, belief: Filter, config: AssociationConfig) -> Match:
-    """The match by nearest neighbour among the pairs that rooms and descriptors allow, where `config` uses them."""
-    gate = chi2_gate(2, config.gate_probability)
-    builder, table = MatchBuilder(len(corners)), pairing_table(corners, view, belief, config, gate)
-    pair_nearest(builder, table.costs, view.belief.ids, gate)
-    return builder.classify_unmatched(table.nis, config.ignore_gate).match()
-
-
 def pair_nearest(builder: MatchBuilder, nis: Array, landmarks: Ints, gate: float) -> None:
     """Give each corner still NEW its nearest landmark by `nis` (n,N), one to one, inside the gate."""
     row = one_to_one(nis, gate)
@@ -80,37 +69,35 @@ def pair_nearest(builder: MatchBuilder, nis: Array, landmarks: Ints, gate: float
 
 
 @dataclass(slots=True, eq=False)
-class NearestDescriptorAssociator(Associator):
-    """As `nearest` among the landmarks of the whole map whose descriptor is that of the corner.
-
-    Never by rooms or polygons, whatever the switches are.
-    """
+class NearestMaskedAssociator(Associator):
+    """As `nearest` among the landmarks that `SWITCHES` allow, whatever the switches of the configuration are."""
 
     config: AssociationConfig
+    SWITCHES: ClassVar[dict[str, bool]] = {}
 
     def __post_init__(self) -> None:
-        self.config = self.config.model_copy(update={"use_rooms": False, "use_descriptor": True})
+        self.config = self.config.model_copy(update=self.SWITCHES)
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner."""
-        return pair_masked(corners, view, belief, self.config)
+        gate = chi2_gate(2, self.config.gate_probability)
+        builder, table = MatchBuilder(len(corners)), pairing_table(corners, view, belief, self.config, gate)
+        pair_nearest(builder, table.costs, view.belief.ids, gate)
+        return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
 
 
-@dataclass(slots=True, eq=False)
-class NearestRoomAssociator(Associator):
-    """As `nearest` among the landmarks of the room; of all where no landmark of the room is inside the gate.
+class NearestDescriptorAssociator(NearestMaskedAssociator):
+    """As `nearest` among the landmarks of the whole map whose descriptor is that of the corner."""
 
-    Never by descriptors or polygons, whatever the switches are.
-    """
+    __slots__ = ()
+    SWITCHES: ClassVar = {"use_rooms": False, "use_descriptor": True}
 
-    config: AssociationConfig
 
-    def __post_init__(self) -> None:
-        self.config = self.config.model_copy(update={"use_rooms": True, "use_descriptor": False})
+class NearestRoomAssociator(NearestMaskedAssociator):
+    """As `nearest` among the landmarks of the room; of all where no landmark of the room is inside the gate."""
 
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision per corner."""
-        return pair_masked(corners, view, belief, self.config)
+    __slots__ = ()
+    SWITCHES: ClassVar = {"use_rooms": True, "use_descriptor": False}
 
 
 @dataclass(slots=True, eq=False)
