@@ -11,11 +11,13 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
+from mecp_env.cli.base import one_of
 from mecp_env.cli.exit_codes import print_error
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import exists, is_folder
 from mecp_env.core.settings import guess
-from mecp_env.world.generator.spec import DIFFICULTIES, GeneratorSpec
+from mecp_env.episode.tasks import TASKS
+from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
 
@@ -23,6 +25,9 @@ MOST_SEEDS = 10_000
 SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
 NONE_GIVEN = "name at least one building; `mecp-env worlds list` lists them"
 
+DifficultyName = Annotated[str, one_of("difficulty", DIFFICULTIES)]  # or empty
+SplitName = Annotated[str, one_of("split", SPLITS)]
+TaskName = Annotated[str, one_of("task", TASKS)]
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
 Buildings = Annotated[
     tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="BUILDING ...", help_behavior_hint="")

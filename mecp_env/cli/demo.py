@@ -6,7 +6,7 @@ import webbrowser
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 from pydantic import Field
@@ -15,18 +15,13 @@ from mecp_env.cli.base import Command, OutFolder, Seed, check_folder, check_writ
 from mecp_env.cli.buildings import Reading, ReadingOptions, one, resolve, spare_sources, stem
 from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code
 from mecp_env.cli.options import Fields, WithModules, check_map, configuration, end_rerun, rerun_log, save_map
-from mecp_env.cli.runs import FILES, Run, print_figures
 from mecp_env.config import EnvConfig
-from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json
-from mecp_env.env import MecpEnv
-from mecp_env.render.figures import save
-from mecp_env.render.replay import Recorder, play_again, write_page
-from mecp_env.render.stages import DPI, stage_figures
-from mecp_env.render.window import require_display
-from mecp_env.slam.frontend.clustering import cluster_beams
-from mecp_env.slam.output import SlamOutput
+
+if TYPE_CHECKING:
+    from mecp_env.cli.runs import Run
+    from mecp_env.slam.output import SlamOutput
 
 PAGE, MOST_BYTES = "replay.html", 5_000_000  # of a configuration
 REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a page that one wrote"
@@ -59,6 +54,16 @@ class Demo(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
+        from mecp_env.cli.runs import (
+            FILES,
+            Run,
+            print_figures,
+        )  # loaded only here, so that help and errors come at once
+        from mecp_env.core import warm_up
+        from mecp_env.env import MecpEnv
+        from mecp_env.render.replay import Recorder
+        from mecp_env.render.window import require_display
+
         building = one(self.layout, self.reading)
         folder = check_folder(self.out or Path("runs") / f"{stem(building)}-{self.seed}")
         spare_sources([folder / name for name in FILES], [self.layout])
@@ -103,6 +108,12 @@ class OneScan(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
+        from mecp_env.cli.runs import Run
+        from mecp_env.env import MecpEnv
+        from mecp_env.render.figures import save
+        from mecp_env.render.stages import DPI, stage_figures
+        from mecp_env.slam.frontend.clustering import cluster_beams
+
         run = Run(MecpEnv(layout=resolve(self.layout, self.reading)), self.seed)
         output, slam = recognition(run, self.step), run.env.config.estimator_config
         united = slam.clustering.united(run.env.config.laser.sweeps)
@@ -156,6 +167,8 @@ class Replay(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
+        from mecp_env.render.replay import play_again, write_page
+
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)
         if page.exists():
@@ -176,6 +189,9 @@ class Replay(Command):
 
 def explored_again(folder: Path) -> dict[str, Any]:
     """The run that `demo` kept in a folder, by its configuration; nothing after Ctrl-C. Raises `ConfigError`."""
+    from mecp_env.cli.runs import Run
+    from mecp_env.env import MecpEnv
+
     recipe = recipe_of(folder)
     run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
     run.watched()

@@ -10,49 +10,29 @@ from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import Command, OutFolder, Steps, check_json, check_word, named_options
-from mecp_env.cli.buildings import Reading, ReadingOptions
+from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, tracked
-from mecp_env.cli.options import (
-    DifficultyName,
-    EnvironmentFields,
-    Estimator,
-    SplitName,
-    TaskName,
-    WithModules,
-    named_fields,
-)
+from mecp_env.cli.options import EnvironmentFields, Estimator, WithModules, named_fields
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import exists, is_folder, write_atomic
-from mecp_env.core.intervals import Figures
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
-from mecp_env.policies.comparison import Row
-from mecp_env.policies.evaluation import Evaluation, write_film, write_result
-from mecp_env.policies.leaderboard import check_name, reference_rows
-from mecp_env.policies.plots import draw_curves
-from mecp_env.policies.registry import EXPLORERS, LEARNED, OURS, make_policy, policy_names, training_hours
-from mecp_env.policies.report_table import overview, page
-from mecp_env.policies.rollout import EpisodeResult
-from mecp_env.policies.setting import Setting, plan_fields
-from mecp_env.policies.suites import (
-    METRICS,
-    SUITES,
-    Training,
-    find_suite,
-    leaderboard,
-    read_submission,
-    refuse_changes,
-    submission,
-)
 from mecp_env.world.config import CrowdConfig
 from mecp_env.world.layout import shipped_layouts
+
+if TYPE_CHECKING:
+    from mecp_env.core.intervals import Figures
+    from mecp_env.policies.comparison import Row
+    from mecp_env.policies.evaluation import Evaluation
+    from mecp_env.policies.rollout import EpisodeResult
+    from mecp_env.policies.setting import Setting
 
 QUICK = "active-quick-v1"
 STEPS, TASK_STEPS = 3000, 1500  # of an episode
@@ -139,6 +119,8 @@ class Evaluate(WithModules):
 
     def _setting(self, line: Sequence[str]) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
+        from mecp_env.policies.setting import Setting, plan_fields
+
         limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
         setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=self._changes(line))
         if self.plans is None and not self.layout:
@@ -172,6 +154,9 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Sequence[str]) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
+        from mecp_env.policies.leaderboard import check_name
+        from mecp_env.policies.suites import submission
+
         for name in self.policies:
             check_name(name, "policies")
         done = self.suite_rows()
@@ -186,6 +171,8 @@ class Evaluate(WithModules):
 
     def suite_rows(self) -> list[tuple[Setting, list[Row]]] | int:
         """The rows of every setting of the suite; an exit code where an episode failed, or after Ctrl-C."""
+        from mecp_env.policies.suites import find_suite
+
         suite, done = find_suite(self.suite), []
         for setting in suite.settings:
             evaluation, _ = self._evaluated(setting, suite.episodes, setting.task or setting.difficulty)
@@ -199,6 +186,8 @@ class Evaluate(WithModules):
 
     def _evaluated(self, setting: Setting, episodes: int, name: str) -> tuple[Evaluation, Path]:
         """All episodes in a setting, or those of a shard, and the folder below `out` where they are kept."""
+        from mecp_env.policies.evaluation import Evaluation
+
         parts = (self.policies, setting, episodes, self.truth, self.known, self.reference, self.trust)
         evaluation = Evaluation(*parts, Shard.parse(self.shard))
         self._check(evaluation)
@@ -208,6 +197,9 @@ class Evaluate(WithModules):
 
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
+        from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
+        from mecp_env.policies.suites import refuse_changes
+
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
@@ -222,6 +214,9 @@ class Evaluate(WithModules):
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
+        from mecp_env.policies.evaluation import write_result
+        from mecp_env.policies.report_table import overview, page
+
         rows = evaluation.rows()
         if not rows:
             print_error("no building was finished by every policy: nothing to compare")
@@ -237,6 +232,9 @@ class Evaluate(WithModules):
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film."""
+        from mecp_env.policies.evaluation import write_film
+        from mecp_env.policies.plots import draw_curves
+
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:
             where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
@@ -248,6 +246,8 @@ class Evaluate(WithModules):
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
+    from mecp_env.policies.leaderboard import leaderboard, reference_rows
+
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
     table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
     echo(*table.split("\n"), f"written to {path}")
@@ -291,6 +291,9 @@ class Leaderboard(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Print the table."""
+        from mecp_env.policies.leaderboard import leaderboard, reference_rows
+        from mecp_env.policies.suites import METRICS, SUITES, read_submission
+
         check_word("metric", self.metric, METRICS)
         found = {str(path): read_submission(path) for path in self.files}
         suite = self._suite([content["suite"] for content in found.values()])
@@ -302,6 +305,8 @@ class Leaderboard(Command):
 
     def _suite(self, named: Sequence[str]) -> str:
         """The suite of the files and of the option. Raises `ConfigError` for several, and for an unknown one."""
+        from mecp_env.policies.suites import SUITES
+
         suites = sorted({*named, *([self.suite] if self.suite else [])}) or [QUICK]
         if len(suites) > 1:
             raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
@@ -338,6 +343,9 @@ class Submit(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
+        from mecp_env.policies.registry import training_hours
+        from mecp_env.policies.suites import Training, submission
+
         suite, name = QUICK if self.quick else self.suite, self._name()
         path = check_json(self.out or Path("runs") / f"{re.sub('[/:]', '-', f'{name}-{suite}')}.json", "out")
         options = {"truth": False, "reference": self.policy, "trust": self.trust, "jobs": self.jobs}
@@ -351,6 +359,9 @@ class Submit(WithModules):
 
     def _name(self) -> str:
         """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""
+        from mecp_env.policies.leaderboard import check_name
+        from mecp_env.policies.registry import LEARNED, OURS
+
         path = Path(self.policy)
         default = (path.stem if path.is_file() else path.name) if path.exists() else self.policy
         name = check_name(self.name or default)

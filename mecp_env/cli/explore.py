@@ -8,33 +8,17 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
-import gymnasium as gym
 import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import Seed, Steps, check_folder, named_options
-from mecp_env.cli.buildings import Reading, ReadingOptions, resolve
+from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName, resolve
 from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code, print_error
-from mecp_env.cli.options import (
-    DifficultyName,
-    Estimator,
-    SplitName,
-    TaskName,
-    WithModules,
-    check_map,
-    end_rerun,
-    rerun_log,
-    save_map,
-)
+from mecp_env.cli.options import Estimator, WithModules, check_map, end_rerun, rerun_log, save_map
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
-from mecp_env.policies.recording import DatasetWriter, Recording, default_name
-from mecp_env.policies.registry import KINDS, calls_of, make_policy
-from mecp_env.policies.rollout import masks_of, options_of
-from mecp_env.policies.setting import Setting
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
-from mecp_env.wrappers import EveryStep, RecordReplay
 
 FOLDER = "MINARI_DATASETS_PATH"  # of minari; without it, .minari/datasets in the home folder
 EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task in place of the difficulty"
@@ -87,6 +71,12 @@ class Explore(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Run the episode; one line per drive, then the metrics."""
+        import gymnasium as gym
+
+        from mecp_env.policies.registry import calls_of, make_policy
+        from mecp_env.policies.rollout import masks_of, options_of
+        from mecp_env.wrappers import EveryStep, RecordReplay
+
         building, options = self._building()
         check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
@@ -140,6 +130,8 @@ class Explore(WithModules):
 
 def drive_line(goals: Any, row: int, info: Mapping[str, Any]) -> str:
     """The result of a drive to a goal, of the environment's `Goals` when it was chosen."""
+    from mecp_env.policies.registry import KINDS
+
     where = f"no goal in row {row}"
     if row < len(goals):
         where = f"{KINDS[goals.kind[row]]} of room {goals.room[row]}, {goals.path_m[row]:.1f} m away"
@@ -184,6 +176,10 @@ class RecordDataset(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Record the episodes; after Ctrl-C the dataset has those that were finished."""
+        from mecp_env.policies.recording import DatasetWriter, Recording, default_name
+        from mecp_env.policies.registry import make_policy
+        from mecp_env.policies.setting import Setting
+
         if self.out is not None:
             os.environ[FOLDER] = str(check_folder(self.out).absolute())
         setting = Setting(self.difficulty, self.split, self.estimator, self.max_steps, self.task)

@@ -1,4 +1,4 @@
-"""Options that several commands share: fields of a configuration, `--with`, `--save-map`, `--rerun`, words."""
+"""Options that several commands share: fields of a configuration, `--with`, `--save-map`, `--rerun`."""
 
 from __future__ import annotations
 
@@ -6,27 +6,23 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, is_dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
 
 import tyro
 from pydantic import BaseModel, model_validator
 
-from mecp_env.cli.base import Command, check_writable, one_of
-from mecp_env.cli.buildings import spare_sources
+from mecp_env.cli.base import Command, check_writable
 from mecp_env.cli.exit_codes import echo, print_error
 from mecp_env.config import EnvConfig, Number, RewardConfig, merge
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.files import exists
 from mecp_env.core.settings import Settings, guess
-from mecp_env.episode.tasks import TASKS
-from mecp_env.render.rerun_log import RerunLog, rerun_library
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
 from mecp_env.world.schema import Layout
 
+if TYPE_CHECKING:
+    from mecp_env.render.rerun_log import RerunLog
+
 Estimator = Literal["slam", "known", "truth"]
-DifficultyName = Annotated[str, one_of("difficulty", DIFFICULTIES)]  # or empty
-SplitName = Annotated[str, one_of("split", SPLITS)]
-TaskName = Annotated[str, one_of("task", TASKS)]
 
 
 def hints(kind: type[Command], line: Sequence[str]) -> list[str]:
@@ -124,6 +120,8 @@ def check_map(path: Path | None, layout: str, estimator: str) -> None:
     """
     if path is None:
         return
+    from mecp_env.cli.buildings import spare_sources
+
     spare_sources([check_writable(path, "--save-map")], [layout])
     if estimator == "known":
         raise ConfigError(f"--save-map: {path}: a map of the estimator 'known' localises with ground truth only")
@@ -170,6 +168,8 @@ def rerun_log(path: Path | None, period_s: float = 0.4) -> RerunLog | None:
     """The recording at `path`; None where none is wanted. Raises `ConfigError` where it cannot be written."""
     if path is None:
         return None
+    from mecp_env.render.rerun_log import RerunLog, rerun_library
+
     if path.suffix != ".rrd":
         raise ConfigError(f"--rerun: {path}: expected a file name that ends in .rrd")
     try:

@@ -6,29 +6,24 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 from pydantic import Field
-from rich.console import Console
-from rich.table import Table
 
 from mecp_env.cli.base import Command, Seed, check_folder, check_writable
-from mecp_env.cli.buildings import spare_sources
 from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, exit_code, print_error
 from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map
-from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
-from mecp_env.core import warm_up
 from mecp_env.core.errors import ConfigError
-from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, Calibration, calibrate_log
-from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRun, LogRunConfig, config_for, fault_of
-from mecp_env.logs import Log, ReadOptions, read_log
-from mecp_env.logs.laser_check import laser_fault
-from mecp_env.slam import SlamMap, SlamPipeline
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.export import checked
-from mecp_env.slam.map_file import MapStart
 from mecp_env.world.config import OdometryConfig
+
+if TYPE_CHECKING:
+    from mecp_env.evaluation.calibration import Calibration
+    from mecp_env.evaluation.log_run import LogRun, LogRunConfig
+    from mecp_env.logs import Log
+    from mecp_env.slam import SlamPipeline
+    from mecp_env.slam.map_file import MapStart
 
 POSE = "expected saved, unknown or a pose as X,Y,HEADING in m and rad"
 
@@ -93,6 +88,11 @@ class Slam(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
+        from mecp_env.cli.buildings import spare_sources  # loaded only here, so that help and errors come at once
+        from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
+        from mecp_env.core import warm_up
+        from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
+
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in LOG_FILES], [str(path) for path in (self.log, self.from_map) if path])
         check_map(self.save_map, str(self.log), "slam")
@@ -122,6 +122,8 @@ class Slam(WithModules):
 
     def _ended(self, run: LogRun, options: LogRunConfig) -> int:
         """The exit code, with the reason where the result is of no use."""
+        from mecp_env.evaluation.log_run import fault_of
+
         fault = fault_of(run, options)
         if fault is not None:
             print_error(f"{self.log}: {fault}")
@@ -135,6 +137,8 @@ class Slam(WithModules):
 
     def _checked(self, log: Log) -> tuple[Log, str | None]:
         """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
+        from mecp_env.logs.laser_check import laser_fault
+
         fault = laser_fault(log) if self._is_measured else None
         said = () if fault is None else (f"warning: {fault}",)
         echo(*said)
@@ -142,6 +146,8 @@ class Slam(WithModules):
 
     def _read(self) -> Log:
         """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
+        from mecp_env.logs import ReadOptions, read_log
+
         given = {name: value for name, value in vars(self).items() if name in ReadOptions.model_fields}
         given |= {"scan_topic": self.scan_topic or None, "use_odometry": self.odometry != "none"}
         log = read_log(self.log, ReadOptions(**given))
@@ -153,6 +159,9 @@ class Slam(WithModules):
 
         Raises `ConfigError` and `MapError`.
         """
+        from mecp_env.evaluation.log_run import config_for
+        from mecp_env.slam import SlamPipeline
+
         fields = named_fields(self.config, line, "--config.")
         if self.from_map is None:
             if self.start != "saved":
@@ -172,6 +181,8 @@ class Slam(WithModules):
 
         `config` describes the laser; fields of `sensor` are kept.
         """
+        from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, calibrate_log
+
         noise = named_fields(self.noise, line, "--noise.")
         if self.noise_from == "auto" and self._is_measured and log.T_odom_robot is not None:
             given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
@@ -229,6 +240,9 @@ def print_calibration(calibration: Calibration | None) -> None:
     """Print each value with its standard deviation and source, and why defaults are used; nothing without one."""
     if calibration is None:
         return
+    from rich.console import Console
+    from rich.table import Table
+
     title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
     table = Table(title=title, title_justify="left")
     for column, side in COLUMNS.items():
@@ -262,6 +276,10 @@ class Export(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Read the map, write every file that is asked for, a line each."""
+        from mecp_env.cli.buildings import spare_sources
+        from mecp_env.slam import SlamMap, SlamPipeline
+        from mecp_env.slam.export import checked
+
         wanted = {name: path for name in NAMES if (path := getattr(self, name)) is not None}
         if not wanted:
             raise ConfigError(f"export: name what to write, one or more of {', '.join(map(option, NAMES))}")

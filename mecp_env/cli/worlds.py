@@ -37,13 +37,10 @@ from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import is_folder, naming, sanitised, write_atomic
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.floorplans.folder import left_out
-from mecp_env.floorplans.plan_view import floor_plan
-from mecp_env.render.plan_figures import check_count, check_format, save_plans
 from mecp_env.world.generator import generate
 from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, split_seed
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
-from mecp_env.world.statistics import building_figures
 
 In = Annotated[tyro.conf.Positional[str], tyro.conf.arg(metavar="IN")]
 Out = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
@@ -197,6 +194,8 @@ class Draw(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Draw, and say where the picture is."""
+        from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only where it draws
+
         if self.out:
             check_writable(check_format(self.out))
         words = expand_all(self.worlds, self.reading)
@@ -215,6 +214,9 @@ def title(word: str) -> str:
 
 def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 200) -> Path:
     """Draw buildings, each with its title, on a sheet and save it; `path` itself, whose folder is made."""
+    from mecp_env.floorplans.plan_view import floor_plan
+    from mecp_env.render.plan_figures import save_plans
+
     plans = [floor_plan(layout, title) for title, layout in buildings]
     check_writable(path).parent.mkdir(parents=True, exist_ok=True)
     save_plans(plans, path, dpi)
@@ -283,6 +285,8 @@ class Generate(Command):
             raise ConfigError(f"out: {self.out} is one file for {self.count} buildings; give a folder")
         (check_writable if self.out.suffix == ".json" else check_folder)(self.out)
         if self.sheet:
+            from mecp_env.render.plan_figures import check_count, check_format
+
             check_writable(check_format(self.sheet), "--sheet")
             check_count(self.count)
 
@@ -347,6 +351,8 @@ class Stats(Command):
 
 def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, list[Figures]]:
     """The figures of all buildings of each word."""
+    from mecp_env.world.statistics import building_figures
+
     single = [(word, building) for word, buildings in words.items() for building in buildings]
     found: dict[str, list[Figures]] = {word: [] for word in words}
     for word, building in tracked(single, len(single), "measuring"):
