@@ -2,7 +2,7 @@
 
     python -m benchmarks.reference_rows
 
-A suite takes the results of its own, and those of a larger suite whose first buildings are its own.
+A suite takes its own results, and those of a larger suite whose first buildings are the same.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ def main() -> None:
 
 
 def rows_of(name: str, suite: Suite, contents: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of a suite; a result of its own replaces that of a larger suite."""
+    """The rows of a suite; its own result replaces that of a larger suite."""
     usable = [content for content in contents if settings_in(suite, SUITES[content["suite"]])]
     ordered = sorted(usable, key=lambda content: content["suite"] == name)
     rows = rows_of_references(ordered, suite.episodes, suite.tasks)
