@@ -17,7 +17,7 @@ from __future__ import annotations
 import re
 import types
 from collections.abc import Callable, Collection, Iterator, Mapping
-from dataclasses import is_dataclass
+from dataclasses import fields, is_dataclass
 from enum import Enum
 from functools import cache
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
@@ -231,7 +231,7 @@ def is_object(value: Any) -> bool:
 def declared_fields(cls: type) -> Mapping[str, Any]:
     """The fields of a dataclass with their types."""
     hints = get_type_hints(cls)
-    return {name: hints[name] for name in cls.__dataclass_fields__}  # type: ignore[attr-defined]
+    return {field.name: hints[field.name] for field in fields(cls)}
 
 
 def fits(value: Any, hint: Any) -> bool:
