@@ -29,7 +29,7 @@ from mecp_env.core.interrupts import interrupts_later
 F = TypeVar("F", bound=Callable[..., Any])
 OPTIONS: Any = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}  # no test for 0 before a division
 CHECKSUM = "checksum"
-NOT_COMPILED = ("cli", "learning", "policies", "vector")  # folders that no compiled function reads
+NOT_COMPILED = ("cli", "floorplans", "learning", "logs", "policies", "render", "vector")  # folders without any
 KEPT = 4  # folders of other sources; the oldest are removed
 
 log = logging.getLogger(__name__)

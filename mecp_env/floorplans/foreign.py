@@ -14,6 +14,9 @@ from mecp_env.core.files import read_bytes
 
 SUPPORTED = "read are our JSON, HouseExpo JSON, map_server yaml with its image, PNG, PGM, BMP and TIFF"
 DRAW = "export it as a PNG with white floor and black walls, and read that with --resolution-m"
+AS_PNG = "save it as a PNG, and read that with --resolution-m"
+UNPACK = "unpack it, and name the plan in it, or the folder"
+MAP = "map it with mecp-env slam, whose folder has the map as yaml and picture"
 SAVE = "run it, map it or slice it at the height of the laser, and save that with map_saver as yaml and pgm"
 BY_ENDING = {
     ".dxf": ("a CAD drawing (DXF)", DRAW),
@@ -23,8 +26,19 @@ BY_ENDING = {
     ".osm": ("an OpenStreetMap extract", DRAW),
     ".svg": ("an SVG drawing, as the floor plans of CubiCasa5K", DRAW),
     ".pdf": ("a PDF document", DRAW),
-    ".jpg": ("a JPEG picture, whose compression blurs walls", "save it as a PNG, and read that with --resolution-m"),
-    ".jpeg": ("a JPEG picture, whose compression blurs walls", "save it as a PNG, and read that with --resolution-m"),
+    ".jpg": ("a JPEG picture, whose compression blurs walls", AS_PNG),
+    ".jpeg": ("a JPEG picture, whose compression blurs walls", AS_PNG),
+    ".webp": ("a WebP picture", AS_PNG),
+    ".gif": ("a GIF picture", AS_PNG),
+    ".zip": ("a packed archive", UNPACK),
+    ".gz": ("a packed file", UNPACK),
+    ".tgz": ("a packed archive", UNPACK),
+    ".tar": ("an archive", UNPACK),
+    ".7z": ("a packed archive", UNPACK),
+    ".rar": ("a packed archive", UNPACK),
+    ".bag": ("a recording of ROS", MAP),
+    ".db3": ("a recording of ROS 2", MAP),
+    ".mcap": ("a recording of ROS 2", MAP),
     ".world": ("a world of Gazebo or Stage", SAVE),
     ".sdf": ("a world or model of Gazebo (SDF)", SAVE),
     ".urdf": ("a robot or scene description (URDF)", SAVE),
@@ -39,6 +53,16 @@ BY_ENDING = {
     ".glb": ("a 3-D scene (glTF)", SAVE),
     ".gltf": ("a 3-D scene (glTF)", SAVE),
 }
+BY_START = {  # bytes that a file begins with: the ending of its kind
+    b"\xff\xd8\xff": ".jpg",
+    b"RIFF": ".webp",
+    b"GIF8": ".gif",
+    b"PK\x03\x04": ".zip",
+    b"\x1f\x8b": ".gz",
+    b"%PDF": ".pdf",
+    b"<svg": ".svg",
+    b"AC10": ".dwg",
+}
 GEOJSON_TYPES = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
 MAP_FIELDS = ("image", "resolution", "origin")
 PLAN_FIELDS = {"verts", "solids", "rooms", "starts"}  # JSON with one of them is meant to be a plan
@@ -48,6 +72,12 @@ MAX_READ = 2_000_000  # bytes
 def by_ending(path: Path) -> str:
     """What a file is by its ending, what is read instead, and how to convert it; empty for others."""
     return _sentence(*BY_ENDING[path.suffix.lower()]) if path.suffix.lower() in BY_ENDING else ""
+
+
+def by_start(data: bytes) -> str:
+    """What a file is by its first bytes, and how to convert it; empty for others."""
+    ending = next((ending for start, ending in BY_START.items() if data.startswith(start)), "")
+    return _sentence(*BY_ENDING[ending]) if ending else ""
 
 
 def _sentence(what: str, remedy: str) -> str:

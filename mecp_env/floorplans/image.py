@@ -20,6 +20,7 @@ from PIL.ImageFile import ImageFile
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.core.files import exists, read_bytes
+from mecp_env.floorplans.foreign import by_start
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 
@@ -80,6 +81,7 @@ UNKNOWN_SHARE, APART = 0.02, 25  # of the pixels that a grey level has, so far f
 MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 KNOWN = "PNG, PGM, BMP or TIFF"
 FORMATS = ("PNG", "PPM", "BMP", "TIFF")
+LEAST_ALPHA = 128  # a pixel that is less than half opaque shows nothing
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
 DAMAGE = (
     OSError,
@@ -103,6 +105,8 @@ def read_image(path: Path) -> Image.Image:
     """
     try:
         data = read_bytes(path, MAX_IMAGE_BYTES)
+        if foreign := by_start(data):
+            raise LayoutError(foreign)
         most = MAX_PLAIN_PIXELS if data.startswith(DIGITS) else MAX_PIXELS
         with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(data), formats=FORMATS) as image:
             _check_header(image, most)
@@ -129,12 +133,12 @@ def _check_header(image: Image.Image, most: int) -> None:
 
 
 def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:
-    """Grey levels (h,w) 0-255 of an image, and where (h,w) it is opaque."""
+    """Grey levels (h,w) 0-255 of an image, and where (h,w) it is more opaque than not."""
     if image.mode == "P":
         image = image.convert("RGBA" if "transparency" in image.info else "RGB")
     alpha = np.asarray(image.getchannel("A")) if "A" in image.mode else None
     image = image if image.mode == "L" else image.convert("L")  # the colours of a large image go first
-    opaque = np.ones(image.size[::-1], np.bool_) if alpha is None else alpha == 255
+    opaque = np.ones(image.size[::-1], np.bool_) if alpha is None else alpha >= LEAST_ALPHA
     return np.asarray(image), opaque
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 import re
 import warnings
 from collections import Counter
@@ -18,7 +19,7 @@ from pydantic import BeforeValidator, ConfigDict, Field, Strict, model_validator
 from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.core.files import exists, read_bytes, text_of
-from mecp_env.core.settings import shown
+from mecp_env.core.settings import guess, shown
 from mecp_env.floorplans.foreign import of_yaml
 from mecp_env.floorplans.image import UNKNOWN_SHARE, grey, read_image, shares
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
@@ -26,7 +27,7 @@ from mecp_env.floorplans.vectorise import Placement, floor_polygon
 from mecp_env.world.schema import Document
 
 MAX_YAML_BYTES = 20_000
-SAVED_UNKNOWN, SAVED_FREE = 205, 254  # grey levels that every map_saver writes in the mode trinary
+SAVED_UNKNOWN, SAVED_FREE = 205, 254  # grey levels that every map_saver writes in the mode trinary, beside 0
 NEAR_WHITE = 230  # a level from here on is free without a doubt
 WITHOUT_POINT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")  # a number that PyYAML does not know
 HALF = 50  # percent: in the modes scale and raw a cell less likely to be occupied is floor
@@ -65,7 +66,7 @@ class Sheet(Document):
         """Which grey levels (256,) are floor; what is unknown is not."""
         level = np.arange(256)[::-1] if self.negate else np.arange(256)
         if self.mode == "raw":
-            return level < HALF  # percent occupied; 255 is unknown
+            return np.arange(256) < HALF  # percent occupied, whatever `negate` is, as in nav2; 255 is unknown
         occupied, low, high = (255 - level) / 255.0, self.free_thresh, self.occupied_thresh
         return occupied < low if self.mode == "trinary" else 1.0 + 98.0 * (occupied - low) / (high - low) < HALF
 
@@ -94,8 +95,13 @@ def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> 
     """
     free, share = sheet.floor_levels(), shares(levels, opaque)
     if sheet.mode == "raw":
+        if sheet.negate:
+            said = "negate: true is left out in the mode raw, as in nav2; invert the picture if dark cells are occupied"
+            warnings.warn(f"{name!r:.80}: {said}", PlanWarning, stacklevel=4)
         return free
-    saved = sheet.mode == "trinary" and not sheet.negate and share[SAVED_FREE:].sum() > 0.0
+    others = share[1:SAVED_UNKNOWN].sum() + share[SAVED_UNKNOWN + 1 : SAVED_FREE].sum()
+    known = share[SAVED_FREE:].sum() > 0.0 or others == 0.0  # without free cells all is unknown, or a wall
+    saved = sheet.mode == "trinary" and not sheet.negate and known
     if saved and free[SAVED_UNKNOWN] and share[SAVED_UNKNOWN] > 0.0:
         free[SAVED_UNKNOWN] = False
         said = f"is read as unknown, as map_saver means it, although free_thresh {sheet.free_thresh:g} makes it free"
@@ -159,13 +165,15 @@ def _sheet(path: Path) -> Sheet:
 
 
 def _beside(path: Path, given: str) -> Path:
-    """The image file, in the folder of the yaml file or below: as it is written, or else of that name beside the yaml.
+    """The image file, in the folder of the yaml file or below: as it is written, or else of that name beside the yaml,
+    with other capitals at last.
 
     Nothing outside that folder is read. Raises LayoutError where neither exists.
     """
     folder, slashed = path.parent.resolve(), given.replace("\\", "/")
     name = slashed.rstrip("/").rpartition("/")[2]
-    for written in dict.fromkeys((given, slashed, name)):
+    alike = [there for there in sorted(_names(folder)) if there.casefold() == name.casefold()]
+    for written in dict.fromkeys((given, slashed, name, *alike)):
         image = _within(folder, written)
         if image is not None:
             return image
@@ -174,7 +182,17 @@ def _beside(path: Path, given: str) -> Path:
             f"image: {shown(given)} leaves the folder of the yaml file, and nothing of that name is in it"
         )
     beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
-    raise LayoutError(f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}")
+    said = f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}"
+    pictures = [there for there in _names(folder) if not there.lower().endswith((".yaml", ".yml"))]
+    raise LayoutError(said + (guess(name, pictures) or "; put the picture there, or correct the name"))
+
+
+def _names(folder: Path) -> list[str]:
+    """Those in a folder; none where it cannot be listed."""
+    try:
+        return [entry.name for entry in os.scandir(folder)]
+    except OSError:
+        return []
 
 
 def _within(folder: Path, written: str) -> Path | None:

@@ -23,6 +23,7 @@ MAX_CORNERS = 400_000
 SPECK_CELLS = 4
 LEAST_NOISE_M = 0.03
 OUTSIDE_EDGE, OUTSIDE_WITHIN = 0.9, 0.1  # of the edge is floor, and so much of its area again is closed off within it
+FRAMED_WITHIN = 1.0  # the same where there is a frame around the floor, as walls around a large room are
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,8 +59,9 @@ def floor_polygon(free: Bools, placement: Placement, told: bool = False) -> Poly
     side = _pooled_side(int((bottom - top) * (right - left)), placement.resolution_m)
     pooled = _pooled(free[top:bottom, left:right][::-1], side)
     largest = _largest(pooled)
-    if not told and free.shape == (bottom - top, right - left):
-        _tell_outside(largest, pooled)
+    if not told:
+        framed = free.shape != (bottom - top, right - left)
+        _tell_outside(largest, pooled, FRAMED_WITHIN if framed else OUTSIDE_WITHIN)
     floor = _without_specks(largest)
     polygon = _contour(np.pad(floor, 1))
     corner = np.array([left, len(free) - bottom], np.float64)  # column and row from below
@@ -95,14 +97,17 @@ def _largest(free: Bools) -> Bools:
     return largest
 
 
-def _tell_outside(floor: Bools, free: Bools) -> None:
-    """Warn where the largest part of a picture lies along its edge and around other parts: outside of a building."""
+def _tell_outside(floor: Bools, free: Bools, share: float) -> None:
+    """Warn where the largest part of a picture lies along its edge and around other parts: outside of a building.
+
+    The parts within have at least so large a `share` of its area.
+    """
     edge = np.concatenate([floor[0], floor[-1], floor[:, 0], floor[:, -1]])
     if edge.mean() < OUTSIDE_EDGE:
         return
     within = int(np.count_nonzero(ndimage.binary_fill_holes(floor) & free & ~floor))
-    if within >= OUTSIDE_WITHIN * np.count_nonzero(floor):
-        said = "the floor that is read lies along the edge of the picture and around closed parts, as the outside does"
+    if within >= share * np.count_nonzero(floor):
+        said = "the floor that is read lies along the edge or frame of the picture and around closed parts, as outside"
         warnings.warn(f"image: {said}; paint the outside black, or cut the margin off", PlanWarning, stacklevel=4)
 
 

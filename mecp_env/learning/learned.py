@@ -7,6 +7,7 @@ file of Stable-Baselines3 (a zip with a pickle) is code: it is refused unless th
 from __future__ import annotations
 
 import re
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
+EXPECTED = "a run folder, or a model file (.zip of Stable-Baselines3, .pt of TorchScript, .onnx) expected"
 MOST_BYTES = files.MOST_POLICY_BYTES
 
 
@@ -53,12 +55,16 @@ def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
         raise ConfigError(f"policy: {path} is the weights alone, name the folder that contains them")
     if path.suffix == ".pt":
         return load_script(path, trust)
-    if path.suffix == ".zip" or path.is_file():
+    if path.suffix == ".zip" or zipfile.is_zipfile(path):
         return load_zip(path, trust)
+    if path.is_file():
+        raise ConfigError(f"policy: {path} is no trained policy; {EXPECTED}")
     folder = WEIGHTS / path if str(path) in ALGORITHMS else path
     if not folder.is_dir():
         known = shipped()
         raise ConfigError(f"policy: {path}, expected one of {', '.join(known)}, or a run folder{guess(path, known)}")
+    if not (folder / CONFIG).exists():
+        raise ConfigError(f"policy: {path} is a folder without {CONFIG}, so no run of mecp-env train; {EXPECTED}")
     config = TrainConfig.build(read_config(folder / CONFIG))
     network = make_network(config)
     files.put_weights(network, *read_weights(folder, config))

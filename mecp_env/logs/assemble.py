@@ -25,6 +25,13 @@ SLACK_M = 0.5  # if it is longer than this;
 JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
 FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
+STEP_M, STEPS = 0.1, 20  # driven, from whose direction the meaning of headings is seen, so often at least
+AGREE, DISAGREE = 0.9, 0.5  # a resultant of so much between headings and directions says that they belong together
+MEANINGS = {
+    "in degrees, taken as such": math.pi / 180.0,
+    "clockwise, turned round": -1.0,
+    "clockwise in degrees, turned round": -math.pi / 180.0,
+}
 REACH_M = 2.0  # no laser is mounted farther from the robot's centre
 WAY_OUT = "--clock received takes the order of the file in place of the stamps (in a bag, the times of receipt)"
 
@@ -51,7 +58,7 @@ def assemble(
     mount, reference = _mount(recording, sweeps, counts)
     mount[2] = math.remainder(mount[2] + math.radians(laser_yaw_deg), 2.0 * math.pi)
     t = np.array([sweep.t for sweep in sweeps])
-    odometry = _odometry(recording, sweeps) if use_odometry else Track()
+    odometry = _in_radians(_odometry(recording, sweeps), recording.notes) if use_odometry else Track()
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
@@ -106,6 +113,33 @@ def _odometry(recording: Recording, sweeps: list[Sweep]) -> Track:
     """The poses that the sweeps carry, or those between them."""
     poses = [sweep.T_odom_robot for sweep in sweeps if sweep.T_odom_robot is not None]
     return Track([sweep.t for sweep in sweeps], poses) if len(poses) == len(sweeps) else recording.odometry
+
+
+def _in_radians(track: Track, notes: list[str]) -> Track:
+    """The track, whose headings are counter-clockwise in rad; others are seen by where the robot drives, and noted."""
+    poses = np.array(track.poses, np.float64).reshape(-1, 3)
+    poses = poses[(abs(poses) < FARTHEST_M).all(axis=1)]
+    driven = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)) if len(poses) > 1 else np.zeros(1)
+    rows = np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), 1e6 * STEP_M), STEP_M)))
+    if len(rows) <= STEPS or _agreement(poses[rows], 1.0) > DISAGREE:
+        return track
+    agreement = {meaning: _agreement(poses[rows], factor) for meaning, factor in MEANINGS.items()}
+    meaning = max(agreement, key=lambda meaning: agreement[meaning])
+    if agreement[meaning] < AGREE:
+        return track
+    notes.append(f"warning: by where the robot drives, the headings of the odometry are {meaning}")
+    factors = np.array([1.0, 1.0, MEANINGS[meaning]])
+    return Track(track.t, [np.asarray(pose, np.float64) * factors for pose in track.poses], track.order)
+
+
+def _agreement(poses: Array, factor: float) -> float:
+    """How constant the angle is between headings, times a factor, and directions of motion, forwards or backwards: 1 is
+    always the same, 0 any.
+    """
+    steps = np.diff(poses[:, :2], axis=0)
+    heading, turn = factor * poses[:-1, 2], factor * np.diff(poses[:, 2])
+    middle = heading + 0.5 * np.remainder(turn + math.pi, 2.0 * math.pi) - 0.5 * math.pi
+    return float(abs(np.exp(2j * (np.arctan2(steps[:, 1], steps[:, 0]) - middle)).mean()))
 
 
 def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> tuple[Array, Track]:

@@ -91,16 +91,17 @@ def _is_robot(frame: str) -> bool:
 
 
 def transform(position: Any, rotation: Any) -> Transform:
-    """(4,4) of a position and a quaternion. Raises `ValueError` unless they are finite and of length 1."""
-    x, y, z, w = rotation.x, rotation.y, rotation.z, rotation.w
-    if x == y == z == w == 0.0:
+    """(4,4) of a position and a quaternion of whatever length. Raises `ValueError` unless they are finite."""
+    length = math.hypot(rotation.x, rotation.y, rotation.z, rotation.w)
+    if length == 0.0:
         raise ZeroQuaternion
+    x, y, z, w = rotation.x / length, rotation.y / length, rotation.z / length, rotation.w / length
     T = np.eye(4)
     T[:3, 3] = position.x, position.y, position.z
     T[0, :3] = 1.0 - 2.0 * (y * y + z * z), 2.0 * (x * y - z * w), 2.0 * (x * z + y * w)
     T[1, :3] = 2.0 * (x * y + z * w), 1.0 - 2.0 * (x * x + z * z), 2.0 * (y * z - x * w)
     T[2, :3] = 2.0 * (x * z - y * w), 2.0 * (y * z + x * w), 1.0 - 2.0 * (x * x + y * y)
-    if not np.isfinite(T).all() or abs(x * x + y * y + z * z + w * w - 1.0) > 0.01:
+    if not np.isfinite(T).all():
         raise ValueError
     return T
 

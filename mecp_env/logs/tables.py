@@ -19,7 +19,9 @@ from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
 
 TABLES = (".csv", ".dat")
 STAMPS = ("t", "time", "stamp", "timestamp")
-POSES = (("x", "x_m", "odom_x"), ("y", "y_m", "odom_y"), ("heading", "theta", "yaw", "heading_rad", "odom_theta"))
+DEGREES = ("heading_deg", "theta_deg", "yaw_deg")
+HEADINGS = ("heading", "theta", "yaw", "heading_rad", "theta_rad", "yaw_rad", "odom_theta", *DEGREES)
+POSES = (("x", "x_m", "odom_x"), ("y", "y_m", "odom_y"), HEADINGS)
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 LONGEST_LINE = 2**20
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
@@ -35,11 +37,12 @@ class Columns:
     pose: tuple[int, ...]
     first: int  # of the readings, up to the last column
     geometry: Geometry
+    heading_unit_rad: float = 1.0
 
     def sweep(self, row: Array, order: int) -> Sweep:
         """That of a row of numbers."""
         t = math.nan if self.stamp is None else float(row[self.stamp])
-        pose = row[list(self.pose)] if self.pose else None
+        pose = row[list(self.pose)] * (1.0, 1.0, self.heading_unit_rad) if self.pose else None
         return Sweep(t, row[self.first :].copy(), self.geometry, pose, order=float(order))
 
 
@@ -120,7 +123,8 @@ def _columns(names: list[str], view_deg: float | None) -> Columns:
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
     if not 2 <= len(names) - first <= MOST_BEAMS:
         raise LogError(f"first row has {len(names) - first} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
-    return Columns(stamp, pose, first, _geometry(names[first:], view_deg))
+    unit_rad = math.radians(1.0) if pose and names[pose[2]] in DEGREES else 1.0
+    return Columns(stamp, pose, first, _geometry(names[first:], view_deg), unit_rad)
 
 
 def _geometry(names: list[str], view_deg: float | None) -> Geometry:

@@ -27,6 +27,7 @@ FORMAT, VERSION = "mecp_env/suite", 1
 MOST_BYTES = 50_000_000  # of a result file
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
 FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
+EXPECTED = "name result files, as mecp-env submit writes them"
 METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
 ESTIMATORS = ("slam", "known", "truth")
 
@@ -163,6 +164,8 @@ def checksum_of(content: Any) -> str:
 def read_submission(path: Path) -> dict[str, Any]:
     """A result file. Raises `ConfigError` for another format, version or suite, a wrong hash, or a damaged file."""
     try:
+        if path.is_dir():
+            raise ConfigError(f"a folder; {EXPECTED}")
         content = read_json(path, MOST_BYTES)
         check_content(content.pop("checksum"), content)
     except OSError as error:
@@ -170,7 +173,8 @@ def read_submission(path: Path) -> dict[str, Any]:
     except ConfigError as error:
         raise ConfigError(f"{path}: {error}") from None
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise ConfigError(f"{path}: no result of a suite ({type(error).__name__}: {error})") from None
+        fault = f"it has no field {error}" if isinstance(error, KeyError) else f"{type(error).__name__}: {error}"
+        raise ConfigError(f"{path}: no result of a suite ({fault}); {EXPECTED}") from None
     return dict(content)
 
 

@@ -66,6 +66,9 @@ def test_a_folder_leaves_out_what_is_no_plan(tmp_path: Path) -> None:
         ("a.json", '{"rooms": [], "walls": [], "objects": [], "doors": []}', "ProcTHOR"),
         ("a.yaml", "levels: {L1: {vertices: []}}", "RMF"),
         ("model.svg", "<svg/>", "CubiCasa"),
+        ("maps.zip", "PK", "archive"),
+        ("plan.webp", "RIFF", "WebP"),
+        ("drive.mcap", "", "recording"),
     ],
 )
 def test_foreign_kinds_are_named(name: str, content: str, said: str, tmp_path: Path) -> None:
@@ -117,3 +120,56 @@ def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
         half = floor_polygon(free, Placement(0.01))
     assert area.area > 1.9 * half.area * 0.9
     assert half.bounds[3] - half.bounds[1] < 12.1
+
+
+def test_a_picture_of_another_kind_is_named_by_its_content(tmp_path: Path) -> None:
+    Image.fromarray(plans.two_rooms_picture()).convert("RGB").save(tmp_path / "map.jpg")
+    (tmp_path / "map.jpg").rename(tmp_path / "map.png")
+    with pytest.raises(LayoutError, match=r"JPEG.*save it as a PNG"):
+        load_plan(tmp_path / "map.png", resolution_m=plans.RESOLUTION_M)
+
+
+def test_a_picture_whose_name_has_other_capitals(tmp_path: Path) -> None:
+    path = pair(tmp_path)
+    (tmp_path / "map.pgm").rename(tmp_path / "MAP.PGM")
+    with pytest.warns(PlanWarning, match=r"MAP\.PGM"):
+        assert len(load_plan(path).rooms) == 2
+    (tmp_path / "MAP.PGM").rename(tmp_path / "map2.pgm")
+    with pytest.raises(LayoutError, match=r"did you mean 'map2\.pgm'"):
+        load_plan(path)
+
+
+def test_a_map_of_unknown_cells_has_no_floor(tmp_path: Path) -> None:
+    path = plans.map_pair(tmp_path, np.full((80, 80), 205, np.uint8), free_thresh=0.25)
+    with pytest.warns(PlanWarning, match="205"), pytest.raises(LayoutError, match="no pixel is floor"):
+        load_plan(path)
+
+
+def test_negate_means_nothing_in_the_mode_raw(tmp_path: Path) -> None:
+    table = np.zeros(256, dtype=np.uint8)
+    table[[0, 254, 205]] = 100, 0, 255
+    picture = table[plans.two_rooms_picture()]
+    expected = load_plan(plans.map_pair(tmp_path, picture, mode="raw"))
+    with pytest.warns(PlanWarning, match="negate"):
+        assert load_plan(plans.map_pair(tmp_path, picture, mode="raw", negate=1)).rooms == expected.rooms
+
+
+@pytest.mark.parametrize(("alpha", "rooms"), [(254, 2), (200, 2), (0, 0)])
+def test_pixels_that_are_more_opaque_than_not_count(alpha: int, rooms: int, tmp_path: Path) -> None:
+    picture = plans.two_rooms_picture()
+    path = plans.save(np.dstack([picture, np.full_like(picture, alpha)]), tmp_path / "a.png")
+    if rooms:
+        assert len(load_plan(path, resolution_m=plans.RESOLUTION_M, free_above=210).rooms) == rooms
+    else:
+        with pytest.raises(LayoutError):
+            load_plan(path, resolution_m=plans.RESOLUTION_M, free_above=210)
+
+
+def test_a_margin_within_a_frame_is_told() -> None:
+    free = np.zeros((120, 120), np.bool_)
+    free[2:-2, 2:-2] = True  # the sheet within its frame
+    free[14:-14, 14:-14] = False
+    free[15:-15, 15:-15] = True
+    free[60] &= ~((np.arange(120) > 13) & (np.arange(120) < 106))  # a wall through the building
+    with pytest.warns(PlanWarning, match="frame"):
+        floor_polygon(free, Placement(0.05))

@@ -123,6 +123,16 @@ def test_quaternions_of_zeros_are_named(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=5e-3)
 
 
+def test_quaternions_count_whatever_their_length(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.odometry(stamp, pose)
+        rotation = bag.messages[-1][3].pose.pose.orientation
+        rotation.z, rotation.w = 1.4 * rotation.z, 1.4 * rotation.w
+        bag.scan(stamp, one)
+    np.testing.assert_allclose(read_log(bag.close()).T_odom_robot, drive()[1], atol=1e-5)
+
+
 def test_odometry_of_the_frames_is_that_of_the_robot_with_the_laser(tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "a.bag")
     for stamp, pose, one in zip(*drive(), strict=True):

@@ -82,3 +82,29 @@ def test_ticks_without_end_are_a_damaged_row(tmp_path: Path) -> None:
     (tmp_path / "a.dat").write_text("".join(" ".join(map(str, each)) + "\n" for each in rows))
     log = read_log(tmp_path / "a.dat")
     assert (len(log), log.counts["damaged rows"]) == (2, 2)
+
+
+def loop(degrees: bool, clockwise: bool) -> tuple[list[str], np.ndarray]:
+    """Rows of a drive once round, with headings of some meaning, and the poses (n,3) as they are meant."""
+    heading = 2.0 * np.pi * np.arange(200) / 200
+    poses = np.column_stack((np.sin(heading), 1.0 - np.cos(heading), heading))
+    written = poses * (1.0, 1.0, (-1.0 if clockwise else 1.0) * (180.0 / np.pi if degrees else 1.0))
+    return [",".join(f"{x:.6f}" for x in [n, *pose, *[2.5] * BEAMS]) for n, pose in enumerate(written)], poses
+
+
+@pytest.mark.parametrize("clockwise", [False, True])
+@pytest.mark.parametrize("degrees", [False, True])
+def test_headings_are_understood_by_where_the_robot_drives(tmp_path: Path, degrees: bool, clockwise: bool) -> None:
+    rows, poses = loop(degrees, clockwise)
+    (tmp_path / "a.csv").write_text("\n".join([f"t,x,y,heading,{DEGREES}", *rows]))
+    log = read_log(tmp_path / "a.csv")
+    assert log.T_odom_robot is not None
+    np.testing.assert_allclose(np.exp(1j * log.T_odom_robot[:, 2]), np.exp(1j * poses[:, 2]), atol=1e-4)
+    assert any("headings" in note for note in log.notes) == (degrees or clockwise)
+
+
+def test_a_column_of_headings_in_degrees(tmp_path: Path) -> None:
+    rows, poses = loop(degrees=True, clockwise=False)
+    (tmp_path / "a.csv").write_text("\n".join([f"t,x,y,heading_deg,{DEGREES}", *rows[:40]]))
+    log = read_log(tmp_path / "a.csv")
+    np.testing.assert_allclose(log.T_odom_robot, poses[:40], atol=1e-4)
