@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 import warnings
 from collections import Counter
@@ -16,7 +15,7 @@ import yaml
 from numpy.typing import NDArray
 from pydantic import BeforeValidator, ConfigDict, Field, Strict, model_validator
 
-from mecp_env.core.carriers import Bools
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.core.files import exists, read_bytes, text_of
 from mecp_env.core.settings import guess, shown
@@ -70,6 +69,11 @@ class Sheet(Document):
         occupied, low, high = (255 - level) / 255.0, self.free_thresh, self.occupied_thresh
         return occupied < low if self.mode == "trinary" else 1.0 + 98.0 * (occupied - low) / (high - low) < HALF
 
+    def dark_levels(self) -> Bools:
+        """Which grey levels (256,) are not near white, and so no floor without a doubt; in the mode raw none is."""
+        level = np.arange(256)[::-1] if self.negate else np.arange(256)
+        return (level < NEAR_WHITE) & (self.mode != "raw")
+
 
 def read_map_server(path: Path, options: PlanOptions) -> FreeSpace:
     """The floor of the map that a yaml file describes; of `options` only what shapes the rooms is used."""
@@ -94,24 +98,27 @@ def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> 
     does, which saves 205 and 0.25.
     """
     free, share = sheet.floor_levels(), shares(levels, opaque)
-    if sheet.mode == "raw":
-        if sheet.negate:
-            said = "negate: true is left out in the mode raw, as in nav2; invert the picture if dark cells are occupied"
-            warnings.warn(f"{name!r:.80}: {said}", PlanWarning, stacklevel=4)
-        return free
-    others = share[1:SAVED_UNKNOWN].sum() + share[SAVED_UNKNOWN + 1 : SAVED_FREE].sum()
-    known = share[SAVED_FREE:].sum() > 0.0 or others == 0.0  # without free cells all is unknown, or a wall
-    saved = sheet.mode == "trinary" and not sheet.negate and known
-    if saved and free[SAVED_UNKNOWN] and share[SAVED_UNKNOWN] > 0.0:
+    doubts = []
+    if sheet.mode == "raw" and sheet.negate:
+        doubts.append("negate: true is left out in the mode raw, as in nav2; invert the picture if it is meant")
+    if free[SAVED_UNKNOWN] and share[SAVED_UNKNOWN] > 0.0 and _is_saved(sheet, share):
         free[SAVED_UNKNOWN] = False
         said = f"is read as unknown, as map_saver means it, although free_thresh {sheet.free_thresh:g} makes it free"
-        warnings.warn(f"{name!r:.80}: grey {SAVED_UNKNOWN} {said}", PlanWarning, stacklevel=4)
-    white = np.arange(256)[::-1] if sheet.negate else np.arange(256)
-    doubtful = [int(level) for level in np.flatnonzero(free & (white < NEAR_WHITE) & (share >= UNKNOWN_SHARE))]
-    for level in doubtful:
-        said = f"grey {level} on {100.0 * share[level]:.0f} % of the picture is not near white and counts as free"
-        warnings.warn(f"{name!r:.80}: {said}; free_thresh decides", PlanWarning, stacklevel=4)
+        doubts.append(f"grey {SAVED_UNKNOWN} {said}")
+    said = "of the picture is not near white and counts as free; free_thresh decides"
+    doubtful = np.flatnonzero(free & sheet.dark_levels() & (share >= UNKNOWN_SHARE)).tolist()
+    doubts += [f"grey {level} on {100.0 * share[level]:.0f} % {said}" for level in doubtful]
+    for doubt in doubts:
+        warnings.warn(f"{name!r:.80}: {doubt}", PlanWarning, stacklevel=4)
     return free
+
+
+def _is_saved(sheet: Sheet, share: Array) -> bool:
+    """Whether a picture with these shares (256,) of grey levels looks as map_saver writes it: it has the mark of free
+    cells, or no level but its marks.
+    """
+    marked = share[SAVED_FREE:].sum() + share[0] + share[SAVED_UNKNOWN]
+    return sheet.mode == "trinary" and not sheet.negate and bool(share[SAVED_FREE:].any() or marked > 0.999)
 
 
 def _tell_moved(path: Path, given: str, image: Path) -> None:
@@ -172,25 +179,24 @@ def _beside(path: Path, given: str) -> Path:
     """
     folder, slashed = path.parent.resolve(), given.replace("\\", "/")
     name = slashed.rstrip("/").rpartition("/")[2]
-    alike = [there for there in sorted(_names(folder)) if there.casefold() == name.casefold()]
-    for written in dict.fromkeys((given, slashed, name, *alike)):
-        image = _within(folder, written)
-        if image is not None:
-            return image
+    there = _names(folder)
+    alike = [one for one in there if one.casefold() == name.casefold()]
+    found = (_within(folder, written) for written in (given, slashed, name, *alike))
+    if image := next(filter(None, found), None):
+        return image
     if exists(folder / given) and (folder / given).is_file():
         raise LayoutError(
             f"image: {shown(given)} leaves the folder of the yaml file, and nothing of that name is in it"
         )
     beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
     said = f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}"
-    pictures = [there for there in _names(folder) if not there.lower().endswith((".yaml", ".yml"))]
-    raise LayoutError(said + (guess(name, pictures) or "; put the picture there, or correct the name"))
+    raise LayoutError(said + (guess(name, there) or "; put the picture there, or correct the name"))
 
 
 def _names(folder: Path) -> list[str]:
-    """Those in a folder; none where it cannot be listed."""
+    """Those in a folder that are no yaml, in order; none where it cannot be listed."""
     try:
-        return [entry.name for entry in os.scandir(folder)]
+        return sorted(path.name for path in folder.iterdir() if path.suffix.lower() not in (".yaml", ".yml"))
     except OSError:
         return []
 

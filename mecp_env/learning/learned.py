@@ -51,14 +51,8 @@ def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
     """
     path = Path(name_or_folder)
     torch.set_num_threads(1)
-    if path.suffix == ".safetensors":
-        raise ConfigError(f"policy: {path} is the weights alone, name the folder that contains them")
-    if path.suffix == ".pt":
-        return load_script(path, trust)
-    if path.suffix == ".zip" or zipfile.is_zipfile(path):
-        return load_zip(path, trust)
-    if path.is_file():
-        raise ConfigError(f"policy: {path} is no trained policy; {EXPECTED}")
+    if path.is_file() or path.suffix in (".pt", ".zip"):
+        return load_file(path, trust)
     folder = WEIGHTS / path if str(path) in ALGORITHMS else path
     if not folder.is_dir():
         known = shipped()
@@ -69,6 +63,17 @@ def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
     network = make_network(config)
     files.put_weights(network, *read_weights(folder, config))
     return LearnedPolicy(network, config, str(path))
+
+
+def load_file(path: Path, trust: bool) -> ModelPolicy:
+    """The policy in a model file of another library. Raises `ConfigError` for another kind of file."""
+    if path.suffix == ".safetensors":
+        raise ConfigError(f"policy: {path} is the weights alone, name the folder that contains them")
+    if path.suffix == ".pt":
+        return load_script(path, trust)
+    if path.suffix == ".zip" or zipfile.is_zipfile(path):
+        return load_zip(path, trust)
+    raise ConfigError(f"policy: {path} is no trained policy; {EXPECTED}")
 
 
 def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Path]:

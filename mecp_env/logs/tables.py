@@ -123,8 +123,12 @@ def _columns(names: list[str], view_deg: float | None) -> Columns:
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
     if not 2 <= len(names) - first <= MOST_BEAMS:
         raise LogError(f"first row has {len(names) - first} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
-    unit_rad = math.radians(1.0) if pose and names[pose[2]] in DEGREES else 1.0
-    return Columns(stamp, pose, first, _geometry(names[first:], view_deg), unit_rad)
+    return Columns(stamp, pose, first, _geometry(names[first:], view_deg), _heading_unit(names[:first]))
+
+
+def _heading_unit(names: list[str]) -> float:
+    """rad of the unit that the column of headings has by its name."""
+    return math.radians(1.0) if set(DEGREES) & set(names) else 1.0
 
 
 def _geometry(names: list[str], view_deg: float | None) -> Geometry:
