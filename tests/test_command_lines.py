@@ -63,6 +63,7 @@ def failure(where: str, line: str) -> str | None:
     return None
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("parts_of_pages")
 @pytest.mark.parametrize("source", SOURCES, ids=lambda source: source.__name__)
 def test_every_command_line_parses(

@@ -51,7 +51,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
     """
     path = Path(name_or_folder)
     torch.set_num_threads(1)
-    if path.is_file() or path.suffix in (".pt", ".zip"):
+    if path.is_file() or path.suffix in (".pt", ".zip", ".safetensors"):
         return load_file(path, trust)
     folder = WEIGHTS / path if str(path) in ALGORITHMS else path
     if not folder.is_dir():

@@ -39,6 +39,7 @@ def run_script(launcher: Launcher, name: str, folder: Path, *options: str) -> st
     return printed
 
 
+@pytest.mark.slow
 def test_breadth_first_explores(launcher: Launcher, tmp_path: Path) -> None:
     printed = run_script(launcher, "bfs", tmp_path, "--layout", "two_rooms")
     assert "rooms_found                        2" in printed

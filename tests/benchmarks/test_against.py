@@ -89,6 +89,7 @@ def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
             worker.call("reset", 0)
 
 
+@pytest.mark.slow
 def test_a_package_from_elsewhere_is_an_error(tmp_path: Path) -> None:
     with TreeWorker("empty tree", tmp_path, "random", "1") as worker, pytest.raises(TreeError, match="empty tree: "):
         worker.check_package()

@@ -72,6 +72,7 @@ def whitened(cov: np.ndarray, error: np.ndarray) -> np.ndarray:
     return np.linalg.solve(np.linalg.cholesky(cov), error)
 
 
+@pytest.mark.slow
 @needs_gtsam
 def test_the_optimum_is_that_of_scipy() -> None:
     record = ring_record(30)

@@ -118,6 +118,7 @@ def cube(unit: tuple[str, int]) -> float:
 UNITS = [("cube", n) for n in range(5)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_units_give_the_same_results_in_order(jobs: int, tmp_path: Path) -> None:
     options = Options(jobs=jobs, folder=tmp_path)

@@ -57,6 +57,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     figures.gather.cache_clear()
 
 
+@pytest.mark.slow
 def test_every_picture_has_metres_a_legend_and_a_bounded_size(small: None, tmp_path: Path) -> None:
     pictures = figures.pictures(Options())
     assert list(pictures) == [f"fig{number}" for number in range(2, 9)]

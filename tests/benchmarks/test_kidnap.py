@@ -29,6 +29,7 @@ def test_calibration_error_is_the_gap_between_confidence_and_frequency() -> None
     assert kidnap.calibration_error(confidence, np.array([2.0] * 10 + [0.1] * 10)) == pytest.approx(0.95)
 
 
+@pytest.mark.slow
 def test_events_are_counted_and_shown(monkeypatch: pytest.MonkeyPatch) -> None:
     made = scripted_drive()
     truth = GroundTruth(made.outline, 30.0)

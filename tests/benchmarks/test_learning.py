@@ -11,6 +11,7 @@ pytest.importorskip("sb3_contrib")
 learning = pytest.importorskip("benchmarks.learning")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("algorithm", learning.ALGORITHMS)
 def test_a_round_compares_a_training_with_its_own_environment(algorithm: str) -> None:
     fields = {name: value for name, value in QUICK.items() if name not in ("log", "steps")}

@@ -60,6 +60,7 @@ def test_a_part_of_a_log_gives_all_figures(maps: Path, name: str) -> None:
     assert "polygon share" in real.report(figures)
 
 
+@pytest.mark.slow
 @logs
 def test_a_doubt_on_a_log_ends_where_known_corners_are_seen() -> None:
     """While only strong evidence ended one, the first corridor was not mapped: .39 m and 39 % localised."""

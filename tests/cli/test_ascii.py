@@ -59,6 +59,7 @@ def test_a_character_that_is_missing_becomes_a_question_mark(monkeypatch: pytest
     assert "m?" in out.shown  # square metres
 
 
+@pytest.mark.slow
 def test_files_do_not_depend_on_the_language_of_the_system(tmp_path: Path) -> None:
     environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONPATH": str(ROOT)}
     line = [sys.executable, "-m", "mecp_env", "demo", "--layout", "two_rooms", "--config.max-steps", "5"]

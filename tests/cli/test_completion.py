@@ -25,6 +25,7 @@ def script(shell: str, capsys: Captured) -> str:
     return capsys.readouterr().out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_the_script_has_every_command_and_options(shell: str, capsys: Captured) -> None:
     text = script(shell, capsys)

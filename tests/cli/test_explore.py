@@ -126,6 +126,7 @@ def test_an_error_is_one_line_without_control_characters(
     assert capsys.readouterr().err == message
 
 
+@pytest.mark.slow
 def test_a_closed_pipe_gives_no_traceback() -> None:
     command = [sys.executable, "-m", "mecp_env", "explore", "nearest", "--layout", "two_rooms", "--steps", "20"]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as running:

@@ -23,6 +23,7 @@ def options_of_lists(words: str, capsys: Captured) -> set[str]:
     return set(re.findall(r"^\W*(--[\w.-]+) .*\.\.\.\]", shown, re.MULTILINE))
 
 
+@pytest.mark.slow
 def test_the_lists_are_those_of_the_commands(capsys: Captured) -> None:
     found = {option for words in cli.COMMANDS for option in options_of_lists(words, capsys)}
     assert found == set(LISTS)

@@ -368,6 +368,7 @@ def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: pytest.Capture
     assert "step" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_one_scan_takes_the_buildings_that_the_demo_takes(tmp_path: Path, capsys: Said) -> None:
     assert cli.main(["worlds", "convert", "two_rooms", str(tmp_path / "plan.yaml")]) == 0
     for layout in ("easy:3", str(tmp_path / "plan.yaml")):

@@ -69,6 +69,7 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
         assert film.n_frames > 10
 
 
+@pytest.mark.slow
 def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Path, capsys: Said) -> None:
     calibration = metrics_of(kept)["calibration"]
     assert calibration["registered"] <= calibration["tried"]
@@ -101,6 +102,7 @@ def test_the_paths_are_in_one_frame(kept: Path) -> None:
     assert (final != estimated).any()
 
 
+@pytest.mark.slow
 def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
     folder = log.parent / "again"
     line = ["slam", str(log), "--out", str(folder), "--from-map", str(log.parent / "map.zip"), "--start"]
@@ -141,6 +143,7 @@ def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
     assert metrics_of(tmp_path / "run")["counts"]["scans at rest, skipped"] > 5
 
 
+@pytest.mark.slow
 def test_carmen_and_bags(tmp_path: Path) -> None:
     assert cli.main(["slam", str(write_carmen(tmp_path / "a.log")), "--out", str(tmp_path / "a")]) == 0
     assert not (tmp_path / "a" / "truth.tum").exists()
@@ -178,6 +181,7 @@ def test_what_cannot_be_mapped_is_one_line(
     assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys: Said) -> None:
     with np.load(log) as whole:
         np.savez(tmp_path / "a.npz", **{name: whole[name] for name in whole if name != "odo"})
@@ -188,6 +192,7 @@ def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys:
     assert metrics_of(tmp_path / "b")["ate_m"] == metrics_of(tmp_path / "a")["ate_m"]
 
 
+@pytest.mark.slow
 def test_a_mirrored_laser_is_named_and_mended(log: Path, tmp_path: Path, capsys: Said) -> None:
     with np.load(log) as whole:
         np.savez(tmp_path / "a.npz", **{name: -whole[name] if name == "angles" else whole[name] for name in whole})
@@ -218,6 +223,7 @@ def test_a_robot_that_never_moves_has_no_map(log: Path, tmp_path: Path, capsys: 
     assert metrics_of(tmp_path / "a")["counts"]["scans at rest, skipped"] == 19
 
 
+@pytest.mark.slow
 def test_a_run_that_is_lost_to_its_end_fails(log: Path, tmp_path: Path, capsys: Said) -> None:
     with np.load(log) as whole:
         ranges = whole["ranges"].copy()
@@ -265,6 +271,7 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("error", [MapError("map: damaged"), OSError(28, "No space left on device")])
 def test_a_map_that_cannot_be_saved_loses_nothing_else(
     error: Exception, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
@@ -279,12 +286,14 @@ def test_a_map_that_cannot_be_saved_loses_nothing_else(
     assert f"{saved} was not written" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_run_whose_reader_is_gone_keeps_its_files(log: Path, tmp_path: Path) -> None:
     with closed_pipe():
         assert cli.main(["slam", str(log), "--out", str(tmp_path)]) == 0
     assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
+@pytest.mark.slow
 def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
     def save(*_: object) -> None:
         raise OSError(28, "No space left on device")
@@ -297,6 +306,7 @@ def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pyte
     assert f"{out / 'map.png'}: No space left" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_a_laser_that_sees_more_than_that_of_the_map(log: Path, tmp_path: Path, capsys: Said) -> None:
     small, saved = write_archive(tmp_path / "small.npz"), tmp_path / "map.zip"
     assert cli.main(["slam", str(small), "--out", str(tmp_path / "a"), "--save-map", str(saved)]) == 0

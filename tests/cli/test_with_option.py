@@ -39,6 +39,7 @@ def parts(own_parts: Path) -> Path:
     return file
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("parts")
 @pytest.mark.parametrize("jobs", ["1", "2"])
 def test_policy_associator_and_reward_of_a_module_are_evaluated(jobs: str) -> None:

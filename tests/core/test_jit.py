@@ -126,6 +126,7 @@ def test_a_division_by_zero_is_infinite(tree: Tree) -> None:
     assert tree.call()[0] == float("inf")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("damage", ["truncated", "empty", "zeros", "garbage", "gone"])
 @pytest.mark.parametrize("pattern", ["*.nbi", "*.nbc", "checksum", "*.nb?"])
 def test_what_is_damaged_is_compiled_again_and_mended(tree: Tree, pattern: str, damage: str) -> None:
@@ -215,6 +216,7 @@ def test_a_folder_that_goes_costs_time_only(tree: Tree) -> None:
     assert tree.call()[0] == 4.0
 
 
+@pytest.mark.slow
 def test_folders_of_other_sources_are_removed_but_for_the_last_ones(tree: Tree) -> None:
     places, made = tree.cache / "mecp_env_functions", list[Path]()
     for n in range(KEPT + 3):
@@ -244,6 +246,7 @@ def test_two_processes_at_the_same_time_get_the_same_result(tree: Tree, damaged:
     assert tree.call()[0] == 4.0
 
 
+@pytest.mark.slow
 def test_a_cache_that_is_damaged_all_the_time_costs_time_only(tree: Tree) -> None:
     tree.call()
     done = threading.Event()

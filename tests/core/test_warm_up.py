@@ -68,6 +68,7 @@ def test_a_worker_of_a_pool_never_compiles_ahead() -> None:
         assert not pool.apply(_is_prepared)
 
 
+@pytest.mark.slow
 def test_what_was_compiled_ahead_is_warm_even_where_a_drive_fails(cold: Path) -> None:
     """It would fail again."""
     assert warm_up.is_cold()

@@ -249,6 +249,7 @@ def test_the_window_of_human_mode_draws_itself(monkeypatch):
     env.close()
 
 
+@pytest.mark.slow
 def test_no_display_is_touched_for_a_picture():
     code = (
         "import gymnasium, mecp_env, pygame; env = gymnasium.make('mecp_env/Layout-v0', render_mode='rgb_array');"

@@ -30,6 +30,7 @@ def test_it_is_small_and_flat_and_can_be_overridden() -> None:
     assert isinstance(other.observation_space, spaces.Dict)
 
 
+@pytest.mark.slow
 def test_a_random_robot_leaves_much_to_learn_and_the_nearest_goal_sees_all() -> None:
     env = gymnasium.make("mecp_env/First-v0", split="validation")
     rng, ends = np.random.default_rng(0), []

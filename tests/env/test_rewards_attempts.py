@@ -36,6 +36,7 @@ def tried(name: str, building: str, seed: int) -> Episode:
     return attempt(name, seed, start="random", max_steps=STEPS, reward="terms", **BUILDINGS[building])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ATTEMPTS)
 def test_an_attempt_loses_by_episode_and_by_metre(name: str, seed: int) -> None:

@@ -142,6 +142,7 @@ def fuzz(first: int, count: int) -> dict[str, int]:
     return ends
 
 
+@pytest.mark.slow
 def test_mutated_snapshots_end_in_an_error_or_run() -> None:
     ends = fuzz(0, 100)
     assert sum(ends.values()) == 100

@@ -112,6 +112,7 @@ def test_what_is_given_wins(log: Log, found: Calibration) -> None:
     assert tripled.odometry.distance_scale == found.odometry.distance_scale
 
 
+@pytest.mark.slow
 def test_a_calibrated_run_is_better(log: Log, found: Calibration) -> None:
     raw, calibrated = run_log(log), run_log(log, calibration=found)
     assert calibrated.pipeline.config.sensor.x_m == found.sensor.x_m

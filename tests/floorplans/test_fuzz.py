@@ -67,6 +67,7 @@ def _note(read: Callable[[], Layout], found: list[Layout | LayoutError]) -> None
         found.append(error)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", [*KINDS, *MADE])
 def test_spoilt_files_raise_nothing_but_layout_errors(kind: str, tmp_path: Path) -> None:
     taken = [tried(path, kind) for path in spoilt_files(kind, range(QUICK), tmp_path)]

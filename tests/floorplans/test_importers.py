@@ -159,6 +159,7 @@ def test_rooms_are_numbered_where_boxes_say_nothing(tmp_path: Path) -> None:
     assert sorted(room.name for room in layout.rooms) == ["Room", "room 2", "room 3"]
 
 
+@pytest.mark.slow
 def test_a_large_clean_plan_is_counted_by_its_corners(tmp_path: Path) -> None:
     """Rooms of 8 m in 96 x 96 m: 89,000 vertices at the pixels, few corners. Seen: refused as more than 50,000."""
     picture = np.full((1923, 1923), 255, dtype=np.uint8)

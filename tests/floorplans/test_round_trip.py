@@ -42,6 +42,7 @@ def walls_off_m(layout: Layout, plan: Layout) -> float:
     return float(a.symmetric_difference(b).area / a.length)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("building", "thin", "resolution_m"),
     [

@@ -231,6 +231,7 @@ def stock_model(env, path, kind=contrib.MaskablePPO):
     return str(path)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("theirs", ["mecp_env/ActiveHalls-v0", "mecp_env/Rooms-v0"])
 def test_a_model_of_stable_baselines_is_evaluated_in_tasks_and_in_rooms(theirs, tmp_path, capsys):
     """A model that was trained in a task got nine columns, even in the task."""

@@ -150,6 +150,7 @@ HOLD = "import sys; from pathlib import Path; from mecp_env.learning.run_folder 
 HOLD += "held = lock(Path(sys.argv[1])); print('held', flush=True); input()"
 
 
+@pytest.mark.slow
 def test_a_folder_that_another_process_trains_in_is_refused_until_that_has_gone(tmp_path, capsys):
     folder, _ = run(tmp_path, steps=12)
     words = [sys.executable, "-c", HOLD, str(folder / ".lock")]

@@ -193,6 +193,7 @@ def test_an_algorithm_that_there_is_not_and_none_at_all_list_those_there_are():
             parse(line)
 
 
+@pytest.mark.slow
 def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({"algorithm": "ppo", "steps": 10}))
     assert parse(["--resume", str(tmp_path), "--steps", "20"]).config.steps == 20

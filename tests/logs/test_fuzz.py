@@ -122,6 +122,7 @@ def test_arrays_with_other_numbers(tmp_path: Path) -> None:
     assert tried.count("counted") > 100
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])
 def test_bag(tmp_path: Path, suffix: str) -> None:
     pytest.importorskip("rosbags")

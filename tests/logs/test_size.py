@@ -66,6 +66,7 @@ def test_packed_chunks(tmp_path: Path, packing: str) -> None:
         read_log(sound)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "write"),
     [

@@ -104,6 +104,7 @@ def test_all_policies_begin_in_the_same_building_at_the_same_place() -> None:
     assert len({episode.curve.coverage[0] for episode in episodes}) == 1
 
 
+@pytest.mark.slow
 def test_one_and_two_processes_give_the_same_result_bit_for_bit(tmp_path: Path) -> None:
     results = []
     for jobs in (1, 2):
@@ -127,6 +128,7 @@ def contents(out: Path) -> tuple[str, bytes, bytes]:
 QUICKLY = {"episodes": 3, "max_steps": 40, "truth": False}
 
 
+@pytest.mark.slow
 def test_shards_in_one_folder_and_then_the_command_without_give_the_bytes_of_a_single_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -140,6 +142,7 @@ def test_shards_in_one_folder_and_then_the_command_without_give_the_bytes_of_a_s
     assert contents(tmp_path / "out") == contents(tmp_path / "whole")
 
 
+@pytest.mark.slow
 def test_a_killed_evaluation_continues_where_it_was(tmp_path: Path) -> None:
     assert evaluate(tmp_path, out=tmp_path / "whole", **QUICKLY) == 0
     small = {"split": "validation", "difficulty": "easy", "out": tmp_path / "out", "jobs": 2} | QUICKLY
@@ -176,6 +179,7 @@ def test_a_full_disk_is_one_line_and_the_same_command_continues(
     assert evaluate(tmp_path, "nearest", **QUICKLY) == 0
 
 
+@pytest.mark.slow
 @needs_linux
 def test_ctrl_c_while_processes_start_is_quiet_and_leaves_nothing(tmp_path: Path) -> None:
     """As a terminal sends it: to the command and its processes, which import modules for a second."""

@@ -74,6 +74,7 @@ def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys:
     assert {name: result["setting"][name] for name in ("difficulty", "split")} == {"difficulty": "", "split": ""}
 
 
+@pytest.mark.slow
 def test_episodes_of_another_setting_are_never_mixed_in(
     plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -94,6 +95,7 @@ def test_episodes_of_another_setting_are_never_mixed_in(
     assert "has results of another run: content" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_shards_in_plans_give_the_result_of_a_single_run(
     plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

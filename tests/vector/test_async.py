@@ -64,6 +64,7 @@ def row_of(infos: dict[str, Any], k: int) -> dict[str, Any]:
     return {name: row_of(part, k) if isinstance(part, dict) else part[k] for name, part in inner.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("actions", ["velocity", "goal"])
 @pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
 def test_each_environment_goes_the_same_way_whatever_is_served_first(actions: str, mode: AutoresetMode) -> None:

@@ -218,6 +218,7 @@ def test_a_batch_that_nobody_holds_closes_itself() -> None:
     assert gone_within(pids, SOON_S)
 
 
+@pytest.mark.slow
 def test_leaving_without_closing_is_clean() -> None:
     done = run_script(START)
     out, err = done.communicate(timeout=60)
@@ -238,6 +239,7 @@ def test_workers_end_when_the_process_that_they_work_for_is_killed(context: str)
     assert gone_within(pids, SOON_S)
 
 
+@pytest.mark.slow
 def test_interrupting_is_one_traceback_and_leaves_nothing() -> None:
     process = run_script(START + "time.sleep(60)", start_new_session=True)
     assert process.stdout is not None

@@ -83,6 +83,7 @@ def check_corners(outline: Outline) -> None:
     assert np.linalg.norm(np.diff(outline.segments, axis=1)[:, 0], axis=1).min() > 0.02  # no sliver
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("difficulty", DIFFICULTIES)
 def test_what_is_declared_is_what_comes_out(difficulty: str) -> None:
     for seed in range(4 if difficulty == "huge" else 25):

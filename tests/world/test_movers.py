@@ -259,6 +259,7 @@ def crowded(boxes: int, seed: int) -> tuple[Simulation, Movers]:
     return simulation, movers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("boxes", [0, 12])
 def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) -> None:
     """In pymunk the order of contacts depended on the past of the space: each control step has its own space now."""

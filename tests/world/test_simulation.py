@@ -328,6 +328,7 @@ def test_get_state_is_a_copy(two_rooms: Outline) -> None:
     assert np.array_equal(state["body"], [2.0, 2.0, 0.0, 0.0, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_two_processes_give_the_same_bits() -> None:
     simulation = Simulation(OUTLINES["furnished"], ROBOT)
     here = digest(simulation, drive(simulation, 300, seed=9))

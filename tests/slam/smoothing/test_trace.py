@@ -42,6 +42,7 @@ def drive(log: Log) -> LogDrive:
     return made
 
 
+@pytest.mark.slow
 def test_the_final_path_is_better(tmp_path: Path) -> None:
     metrics = [run_log(log_of(tmp_path, s), run=OPTIONS.model_copy(update={"seed": s})).metrics() for s in SEEDS]
     assert all(m["final_converged"] for m in metrics)
