@@ -8,7 +8,7 @@ The first line trains PPO on `First-v0` for five minutes on two cores, and write
 
     python agents/train_first.py --seeds 0 1 2
     python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000 \
-      --seeds 0 1 2 --metric coverage_over_steps --out runs/medium
+      --max-steps 600 --pace 0.8 --seeds 0 1 2 --metric coverage_over_steps --out runs/medium
     python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 \
       --evaluate-every 100000 --buildings 16 --metric correct_coverage_over_steps --out runs/halls
 """
@@ -86,6 +86,8 @@ class Args:
     environments: int = 8
     evaluate_every: int = 50_000  # control steps
     buildings: int = 20  # of the validation split, in an evaluation
+    max_steps: int = 0  # of an episode; 0: those of the environment
+    pace: float = 0.0  # weight of this term of the reward (docs/rewards.md)
     metric: str = "coverage"  # of the curve, or coverage_over_steps, correct_coverage_over_steps
     out: Path = Path("runs/first")
 
@@ -94,7 +96,9 @@ class Args:
         """The keywords of `gymnasium.make`."""
         actions = {"actions": "goal"} if self.algorithm == "maskable_ppo" else {}
         buildings = {"difficulty": self.difficulty} if self.difficulty else {}
-        return {"observation": "flat", "start": "random", **actions, **buildings}
+        limit = {"max_steps": self.max_steps} if self.max_steps else {}
+        reward = {"reward": {"pace": self.pace}} if self.pace else {}
+        return {"observation": "flat", "start": "random", **actions, **buildings, **limit, **reward}
 
 
 class Curve(BaseCallback):

@@ -20,7 +20,7 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
 
 REWARDS = Names(  # `register_reward` adds others
-    *("coverage", "correct_coverage", "contact_share", "lost_share", "shaping"),
+    *("coverage", "correct_coverage", "contact_share", "lost_share", "shaping", "pace"),
     *("area", "pose_information", "landmark_information", "contact", "time", "completion", "divergence", "lost"),
     *("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality"),
 )
@@ -92,7 +92,9 @@ class RewardConfig(PresetSettings):
     """
 
     PRESETS: ClassVar = REWARD_PRESETS
-    FREE: ClassVar = frozenset({"preset", "source", "area_sigma_m", "contact_share", "lost_share", "shaping", "custom"})
+    FREE: ClassVar = frozenset(
+        {"preset", "source", "area_sigma_m", "contact_share", "lost_share", "shaping", "pace", "custom"}
+    )
 
     preset: Literal["coverage", "correct_coverage", "terms", "active_terms"] = "coverage"
     source: Literal["belief", "truth"] = "belief"  # of the area, coverage and correct coverage
@@ -102,6 +104,7 @@ class RewardConfig(PresetSettings):
     contact_share: float = -0.1  # per share of the step limit in which the robot touched something
     lost_share: float = -0.1  # per share of the step limit in which the pose is off, by ground truth
     shaping: float = 0.0  # potential-based shaping: nearness of a goal; sums to 0 over an episode
+    pace: float = 0.0  # potential-based: floor that is missing costs in each step; a constant over an episode
     area: float = 0.0  # per m^2 newly mapped
     pose_information: float = 0.0  # per nat: increase of -0.5 log det of the pose covariance
     landmark_information: float = 0.0  # per nat: increase of -0.5 log det of a landmark covariance, mean over all

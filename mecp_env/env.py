@@ -522,6 +522,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             free_area_m2=truth.free_cells * CELL_M**2,
             budget=1.0 - metrics.steps / self.config.max_steps,
             p_goals=NO_GOALS if episode.over else episode.goals.p_map,
+            over=episode.over,
         )
 
     def _seen_by(self, observer: Observer | Flat | Image, episode: EpisodeState) -> tuple[Observation, int]:

@@ -44,6 +44,7 @@ class RewardInputs(NamedTuple):
     free_area_m2: float = 1.0  # the floor of the building: only scales what is mapped to a share
     budget: float = 1.0  # share of the step limit that is left
     p_goals: Array = NO_GOALS  # (g,2) m, map frame: the goals that are left
+    over: bool = False  # the episode has ended
 
 
 Potential = Callable[[RewardInputs], float]
@@ -185,7 +186,8 @@ class MetricMemory:
     floor_m2: float = 0.0  # mapped floor when the robot was last sure of its pose
     shares: dict[str, float] = field(default_factory=dict)  # c(t-1)
     owed: dict[str, float] = field(default_factory=dict)  # c(0), until the first step pays it
-    nearness: float = 0.0  # the potential of the shaping
+    nearness: float = 0.0  # the potential of `shaping`
+    prospect: float = 0.0  # that of `pace`
 
 
 def coverage(memory: MetricMemory, inputs: RewardInputs) -> float:
@@ -206,7 +208,7 @@ SHARES: dict[str, Callable[[MetricMemory, RewardInputs], float]] = {
     "coverage": coverage,
     "correct_coverage": correct_coverage,
 }
-METRIC_TERMS = (*SHARES, "shaping")
+METRIC_TERMS = (*SHARES, "shaping", "pace")
 
 
 def shares(memory: MetricMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
@@ -218,6 +220,7 @@ def start_metrics(memory: MetricMemory, inputs: RewardInputs, config: RewardConf
     """Note c(0), which the first step pays."""
     memory.shares = shares(memory, inputs, config)
     memory.owed = dict(memory.shares)
+    memory.prospect = prospect(memory, inputs, config) if config.pace else 0.0
 
 
 def metric_terms(memory: MetricMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:
@@ -226,6 +229,7 @@ def metric_terms(memory: MetricMemory, inputs: RewardInputs, config: RewardConfi
     - `coverage`, `correct_coverage`: their increase times the share of the step limit that is left.
     - `shaping`: the increase of F = budget exp(-d / 5 m), d the distance to the nearest goal; F is 0 before the first
       step and after the last one, so that the sum over an episode is 0 (potential-based: Ng, Harada, Russell 1999).
+    - `pace`: the increase of `prospect`, so that the sum over an episode is -(1 - c(0)) whatever the robot does.
     """
     found = shares(memory, inputs, config)
     terms = {
@@ -236,7 +240,18 @@ def metric_terms(memory: MetricMemory, inputs: RewardInputs, config: RewardConfi
     if config.shaping:
         before, memory.nearness = memory.nearness, inputs.budget * nearness(inputs)
         terms["shaping"] = memory.nearness - before
+    if config.pace:
+        before, memory.prospect = memory.prospect, prospect(memory, inputs, config)
+        terms["pace"] = memory.prospect - before
     return terms
+
+
+def prospect(memory: MetricMemory, inputs: RewardInputs, config: RewardConfig) -> float:
+    """(1 - c) times the share of the step limit that is left, the most that can still be earned; 0 after the end."""
+    if inputs.over:
+        return 0.0
+    share = SHARES["correct_coverage" if config.correct_coverage else "coverage"]
+    return inputs.budget * (1.0 - share(memory, inputs))
 
 
 def nearness(inputs: RewardInputs) -> float:

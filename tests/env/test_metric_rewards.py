@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import gymnasium
@@ -52,6 +53,35 @@ def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: fl
         rewards, info = run(env, seed)
         assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"], abs=1e-9)
         assert 0.0 < sum(rewards) <= 1.0
+
+
+@pytest.mark.parametrize("metric", ["coverage", "correct_coverage"])
+@pytest.mark.parametrize("end", [{}, {"coverage": 0.6}])
+def test_pace_moves_the_return_by_what_no_action_changes(metric: str, end: dict[str, float]) -> None:
+    env = make(layout="two_rooms", max_steps=60, end=end, reward={"preset": metric, "pace": 1.0, **TRUTH})
+    for seed in range(3):
+        env.reset(seed=seed)
+        seen_at_start = env.step(np.zeros(2, np.float32))[-1][metric]
+        rewards, info = run(env, seed)
+        assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"] - (1.0 - seen_at_start), abs=0.02)
+
+
+def test_at_pace_1_a_step_costs_what_is_missing() -> None:
+    config, shares, limit = RewardConfig(preset="coverage", pace=1.0), [0.1, 0.3, 0.2, 0.5], 3
+    memory = MetricMemory()
+    start_metrics(memory, inputs_of(shares[0], 1.0), config)
+    memory.owed.clear()
+    for step, (before, share) in enumerate(pairwise(shares), start=1):
+        terms = metric_terms(memory, inputs_of(share, 1.0 - step / limit), config)
+        assert terms["coverage"] + terms["pace"] == pytest.approx(-(1.0 - before) / limit)
+
+
+def test_after_the_end_nothing_can_be_earned() -> None:
+    config = RewardConfig(preset="coverage", pace=1.0)
+    memory = MetricMemory()
+    start_metrics(memory, inputs_of(0.5, 1.0), config)
+    terms = metric_terms(memory, inputs_of(0.5, 0.9)._replace(over=True), config)
+    assert terms["pace"] == pytest.approx(-0.5)
 
 
 def test_the_belief_pays_nearly_what_the_truth_pays() -> None:

@@ -122,8 +122,11 @@ def test_a_typo_in_the_configuration_of_a_run_is_refused_with_the_nearest_name(f
 def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
     with pytest.raises(ConfigError, match="or a run folder"):
         load("nothing")
-    with pytest.raises(ConfigError, match=r"config\.json"):
+    with pytest.raises(ConfigError, match=r"no run of mecp-env train; a run folder, or a model file"):
         load(tmp_path)
+    (tmp_path / "notes.txt").write_text("hello")
+    with pytest.raises(ConfigError, match=r"notes\.txt is no trained policy"):
+        load(tmp_path / "notes.txt", trust=True)
     write_json(tmp_path / "config.json", quick().to_dict())
     with pytest.raises(WeightError, match="no policy yet"):
         load(tmp_path)
