@@ -27,6 +27,7 @@ from mecp_env.world.schema import Document
 
 MAX_YAML_BYTES = 20_000
 SAVED_UNKNOWN, SAVED_FREE = 205, 254  # grey levels that every map_saver writes in the mode trinary, beside 0
+SAVED_SHARE = 0.999  # of a picture without free cells has the marks of a map_saver
 NEAR_WHITE = 230  # a level from here on is free without a doubt
 WITHOUT_POINT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")  # a number that PyYAML does not know
 HALF = 50  # percent: in the modes scale and raw a cell less likely to be occupied is floor
@@ -118,7 +119,7 @@ def _is_saved(sheet: Sheet, share: Array) -> bool:
     cells, or no level but its marks.
     """
     marked = share[SAVED_FREE:].sum() + share[0] + share[SAVED_UNKNOWN]
-    return sheet.mode == "trinary" and not sheet.negate and bool(share[SAVED_FREE:].any() or marked > 0.999)
+    return sheet.mode == "trinary" and not sheet.negate and bool(share[SAVED_FREE:].any() or marked > SAVED_SHARE)
 
 
 def _tell_moved(path: Path, given: str, image: Path) -> None:

@@ -26,6 +26,7 @@ JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
 FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
 STEP_M, STEPS = 0.1, 20  # driven, from whose direction the meaning of headings is seen, so often at least
+LONGEST_M = 1e5  # of the path that is looked at
 AGREE, DISAGREE = 0.9, 0.5  # a resultant of so much between headings and directions says that they belong together
 MEANINGS = {
     "in degrees, taken as such": math.pi / 180.0,
@@ -120,7 +121,7 @@ def _in_radians(track: Track, notes: list[str]) -> Track:
     poses = np.array(track.poses, np.float64).reshape(-1, 3)
     poses = poses[(abs(poses) < FARTHEST_M).all(axis=1)]
     driven = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)) if len(poses) > 1 else np.zeros(1)
-    rows = np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), 1e6 * STEP_M), STEP_M)))
+    rows = np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), LONGEST_M), STEP_M)))
     if len(rows) <= STEPS or _agreement(poses[rows], 1.0) > DISAGREE:
         return track
     agreement = {meaning: _agreement(poses[rows], factor) for meaning, factor in MEANINGS.items()}

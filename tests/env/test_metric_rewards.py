@@ -32,12 +32,14 @@ FREE_M2 = 50.0
 TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
 
 
-def run(env: gymnasium.Env, seed: int = 0, steps: int = 10**6) -> tuple[list[float], dict[str, Any]]:
+def run(
+    env: gymnasium.Env, seed: int = 0, steps: int = 10**6, speed: float = 1.0
+) -> tuple[list[float], dict[str, Any]]:
     """Rewards of a random walk, and the last info."""
     env.reset(seed=seed)
     rng, rewards, over = np.random.default_rng(seed), [], False
     while not over and len(rewards) < steps:
-        action = rng.uniform(-1.0, 1.0, 2).astype(np.float32)
+        action = rng.uniform(-speed, speed, 2).astype(np.float32)
         _, reward, terminated, truncated, info = env.step(action)
         rewards.append(reward)
         over = terminated or truncated
@@ -60,10 +62,12 @@ def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: fl
 def test_pace_moves_the_return_by_what_no_action_changes(metric: str, end: dict[str, float]) -> None:
     env = make(layout="two_rooms", max_steps=60, end=end, reward={"preset": metric, "pace": 1.0, **TRUTH})
     for seed in range(3):
-        env.reset(seed=seed)
-        seen_at_start = env.step(np.zeros(2, np.float32))[-1][metric]
-        rewards, info = run(env, seed)
-        assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"] - (1.0 - seen_at_start), abs=0.02)
+        moved = []
+        for speed in (0.0, 0.5, 1.0):
+            rewards, info = run(env, seed, speed=speed)
+            moved.append(sum(rewards) - info[f"{metric}_over_steps"])
+        assert moved == pytest.approx([moved[0]] * 3, abs=1e-9)
+        assert -1.0 < moved[0] < 0.0
 
 
 def test_at_pace_1_a_step_costs_what_is_missing() -> None:
