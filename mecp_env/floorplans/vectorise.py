@@ -107,7 +107,7 @@ def _tell_outside(floor: Bools, free: Bools, share: float) -> None:
         return
     within = int(np.count_nonzero(ndimage.binary_fill_holes(floor) & free & ~floor))
     if within >= share * np.count_nonzero(floor):
-        said = "the floor that is read lies along the edge or frame of the picture and around closed parts, as outside"
+        said = "the floor read lies along the edge or frame of the picture and around closed parts, as the outside does"
         warnings.warn(f"image: {said}; paint the outside black, or cut the margin off", PlanWarning, stacklevel=4)
 
 
