@@ -72,7 +72,7 @@ def test_the_trained_policy(home: Path) -> None:
 
 @needs_torch
 def test_training_and_the_adapter(home: Path) -> None:
-    write_config(home / "quick.json", steps=12, env={"max_steps": 20})
+    write_config(home / "quick.json", steps=6, environments=1, env={"max_steps": 20}, log={"evaluate_buildings": 0})
     code = "from mecp_env.learning.sb3_batch import SB3Batch; from mecp_env.cli.main import main; exit(main())"
     call(home, "python", "-c", code, "train", "maskable_ppo", "--config", "quick.json", "--out", "trained")
     assert (home / "trained/policy.json").exists()
