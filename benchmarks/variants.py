@@ -12,9 +12,9 @@ from benchmarks.kiss import KissAssociator, KissPointsAssociator
 from mecp_env.config import merge
 from mecp_env.core.carriers import Array
 from mecp_env.slam.association import MecpAssociator, make_associator
-from mecp_env.slam.association.first_pass import FirstPass
-from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.polygon_matching import PolygonMatch
+from mecp_env.slam.association.cliques import FirstPass
+from mecp_env.slam.association.gating import MatchBuilder
+from mecp_env.slam.association.mecp import PolygonMatch
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import METHODS, AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners, MapView, Polygon

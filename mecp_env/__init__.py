@@ -47,7 +47,7 @@ def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool 
     Of an environment that was made with `observation="flat"`, or of one with these `actions` ("velocity", "discrete",
     "goal") and `uncertainty`. Raises `ConfigError` for another environment, and for unknown actions.
     """
-    layout = import_module("mecp_env.episode.flat")  # by name, as an entry point: loaded when it is called
+    layout = import_module("mecp_env.episode.compact_observations")  # by name: loaded when it is called
     names: tuple[str, ...] = layout.flat_names(env, actions=actions, uncertainty=uncertainty)
     return names
 

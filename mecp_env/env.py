@@ -39,10 +39,9 @@ from mecp_env.episode.start import check_seed, parse_options
 from mecp_env.episode.true_world import TrueWorld
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.evaluation.metrics import EpisodeMetrics, figures
-from mecp_env.planning.goal_list import LENGTHS
+from mecp_env.planning.goal_list import LENGTHS, RowTimes
 from mecp_env.planning.goals import Goals, Outcome, complete_rooms, find_goals
 from mecp_env.planning.known_ground import Surroundings, offered_goals
-from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.shapes import SceneView
 from mecp_env.slam.output import SlamOutput
 from mecp_env.world.odometry import measure

@@ -17,9 +17,8 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.env import MecpEnv, Observation
 from mecp_env.episode.actions import check_choice, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.planning.goal_list import WAIT, Outcome
+from mecp_env.planning.goal_list import WAIT, Outcome, RowTimes
 from mecp_env.planning.navigator import Navigator, Target
-from mecp_env.planning.row_times import RowTimes
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.shapes import SceneView, summary
 

@@ -25,8 +25,7 @@ from mecp_env.evaluation.trajectory import align, tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.render.curves import Moment, curves_figure, moment_of
-from mecp_env.render.figures import map_figure, save
+from mecp_env.render.figures import Moment, curves_figure, map_figure, moment_of, save
 from mecp_env.render.film import Film
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog

@@ -1,4 +1,4 @@
-"""A goal, and the list of goals."""
+"""A goal, the list of goals, and how long each row of it takes: waiting has a time too."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
+from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.messages import NO_ID
 
 
@@ -109,3 +110,35 @@ class Goals:
         kinds = dict.fromkeys(INTEGERS, np.int64) | dict.fromkeys(LENGTHS, np.float64)
         columns: Any = {name: np.array([getattr(goal, name) for goal in goals], kind) for name, kind in kinds.items()}
         return cls(p_map, **columns)
+
+
+@dataclass(frozen=True, slots=True)
+class RowTimes:
+    """Seconds that a drive to a goal takes at least: its path at full speed; of waiting, all its steps."""
+
+    speed_m_s: float = 0.75
+    wait_s: float = 0.0
+
+    @classmethod
+    def of(cls, config: PlanningConfig) -> RowTimes:
+        """Those of a configuration."""
+        return cls(config.control.speed_m_s, config.known_ground.wait_steps * config.control.period_s)
+
+    def seconds(self, goals: Goals) -> Array:
+        """(g,) s of each goal."""
+        seconds: Array = np.where(goals.kind == WAIT, self.wait_s, goals.path_m / self.speed_m_s)
+        return seconds
+
+    def nearest_first(self, goals: Goals) -> Goals:
+        """The goals in the order of their times."""
+        return goals.in_order(np.argsort(self.seconds(goals), kind="stable"))
+
+    def best(self, goals: Goals, most: int) -> int | None:
+        """The row, of the first `most`, that takes the least time of those that explore; None without a goal.
+
+        Without one that explores: of open floor and places on known ground; waiting is the last resort.
+        """
+        kind = goals.kind[:most]
+        if not len(kind):
+            return None
+        return int(np.lexsort((self.seconds(goals)[:most], kind >= PLACE, kind == WAIT))[0])

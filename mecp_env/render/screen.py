@@ -2,15 +2,135 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from pydantic import Field
+from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from mecp_env.core.carriers import Array, Bytes
+from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.core.settings import Settings
-from mecp_env.render import palette
-from mecp_env.render.brush import Box, Brush
-from mecp_env.render.panels import draw_belief, draw_nothing, draw_scan, draw_world
-from mecp_env.render.shapes import KNOWN_GROUND, SceneView, magnification, summary
+from mecp_env.render import palette, shapes
+from mecp_env.render.brush import Box, Brush, Camera
+from mecp_env.render.palette import RGB
+from mecp_env.render.shapes import KNOWN_GROUND, SceneView, loops, magnification, signed_area, summary
+from mecp_env.slam.messages import Cell, SemanticGrid
+
+OCCUPIED = int(Cell.OCCUPIED)
+WALL = 0.22  # of the smoothed walls: those of one cell keep about its width
+
+
+def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
+    """The true walls, the robot with its scan, and its path."""
+    camera = Camera.fit(view.bounds, box)
+    for strip in shapes.wall_strips(view.segments):
+        brush.area(camera.pixels(strip), palette.SOLID)
+    for ring in loops(view.segments):
+        brush.area(camera.pixels(ring), palette.SOLID if signed_area(ring) < 0.0 else palette.FREE)
+    ends, hit = shapes.beam_ends(view.slam_output, view.T_world_robot)
+    brush.veil([(camera.pixels(shapes.beam_fan(view.slam_output, view.T_world_robot)), palette.BEAM)], alpha=50)
+    brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
+    for pixel in camera.pixels(ends[hit]):
+        brush.dot(pixel, 1.3, palette.HIT)
+    for ring in loops(view.moving):
+        brush.area(camera.pixels(ring), palette.MOVER)
+    draw_robot(brush, view.T_world_robot, view.robot_radius_m, camera, palette.INK)
+
+
+def draw_nothing(brush: Brush, view: SceneView, box: Box) -> None:
+    """An empty half in the place of the world."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [box.width, box.height] + np.array([box.left, box.top])
+    brush.area(corners, palette.UNSEEN)
+    brush.text("hidden", (box.middle[0], box.middle[1] - 10), 28, palette.MUTED, align=0.5)
+
+
+def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
+    """Grid, polygons, doors, landmarks, goals, the estimated path and pose, laid over the place of the world."""
+    camera = Camera.fit(view.bounds, box)
+    brush.picture(grid_picture(view.slam_output.grid, view.T_world_map, camera, box), box)
+    _draw_map(brush, view, camera)
+    brush.line(camera.pixels(view.to_world(view.path_map)), palette.ESTIMATE, 1.5)
+    polygon, vertices = shapes.recognised(view)
+    if len(polygon):
+        brush.ring(camera.pixels(polygon), palette.POLYGON, 2.5)
+    for pixel in camera.pixels(vertices):
+        brush.square(pixel, 5.0, palette.POLYGON, 1.5)
+    for ring in shapes.landmark_ellipses(view):
+        brush.ring(camera.pixels(ring), palette.LANDMARK)
+    for pixel in camera.pixels(view.to_world(view.slam_output.belief.p_map)):
+        brush.dot(pixel, 2.2, palette.LANDMARK)
+    _draw_goals(brush, view, camera)
+    for room, p_map in shapes.room_labels(view.slam_output, view.path_map).items():
+        brush.label(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18)
+    belief = view.slam_output.belief
+    ring = shapes.ellipse(belief.T_map_robot[:2], belief.pose_cov[:2, :2], shapes.magnification(belief))
+    brush.ring(camera.pixels(view.to_world(ring)), palette.LANDMARK)
+    T_world_robot = compose(view.T_world_map, belief.T_map_robot)
+    draw_robot(brush, T_world_robot, view.robot_radius_m, camera, palette.ESTIMATE)
+
+
+def draw_scan(brush: Brush, view: SceneView, box: Box) -> None:
+    """Where the beams of the scan end, by the estimated pose, over what the robot believes."""
+    camera = Camera.fit(view.bounds, box)
+    ends, hit = shapes.beam_ends(view.slam_output, compose(view.T_world_map, view.slam_output.belief.T_map_robot))
+    for pixel in camera.pixels(ends[hit]):
+        brush.dot(pixel, 1.3, palette.HIT)
+
+
+def draw_robot(brush: Brush, T_world_robot: Array, radius_m: float, camera: Camera, colour: RGB) -> None:
+    """A disc with a line towards where it looks."""
+    x, y, heading = T_world_robot
+    nose = [x + radius_m * math.cos(heading), y + radius_m * math.sin(heading)]
+    pixels = camera.pixels(np.array([[x, y], nose]))
+    brush.dot(pixels[0], max(camera.scale * radius_m, 4.0), colour)
+    brush.line(pixels, palette.FREE, 2.0)
+
+
+def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Box) -> Bytes:
+    """The semantic grid as seen by the camera, one colour per room, uint8 (box height, box width, 3).
+
+    Walls are smooth: cells, whose sides are seldom parallel to the picture's, would be teeth of a saw.
+    """
+    wall = gaussian_filter((grid.label == OCCUPIED).astype(float), 0.8)
+    colours, by_wall = shapes.cell_colours(grid, walls=False), maximum_filter(wall, 3) > 0.99 * WALL
+    x, y = camera.pixel_centres(box)
+    p_world = np.stack(np.broadcast_arrays(x, y[:, None]), axis=-1).reshape(-1, 2)
+    p_map = to_map(inverse(T_world_map), p_world)
+    across, up = ((p_map[:, i] - grid.origin[i]) / grid.resolution_m for i in (0, 1))  # by column: fast
+    cols, rows = np.floor(across).astype(np.int64), np.floor(up).astype(np.int64)
+    inside = np.flatnonzero((rows >= 0) & (rows < wall.shape[0]) & (cols >= 0) & (cols < wall.shape[1]))
+    cells = rows[inside], cols[inside]
+    picture = np.full((len(p_map), 3), palette.UNSEEN, np.uint8)
+    picture[inside] = colours[cells]
+    near = inside[by_wall[cells]]
+    picture[near[map_coordinates(wall, np.stack([up[near], across[near]]) - 0.5, order=1) > WALL]] = palette.SOLID
+    return picture.reshape(box.height, box.width, 3)
+
+
+def _draw_map(brush: Brush, view: SceneView, camera: Camera) -> None:
+    """Polygons of the rooms, doors and door candidates."""
+    areas = [(camera.pixels(ring), colour) for ring, colour in shapes.polygon_rings(view)]
+    brush.veil(areas, alpha=60)
+    for pixels, colour in areas:
+        brush.ring(pixels, palette.mix(colour, palette.FREE, 0.45))
+    faces, candidates = shapes.door_lines(view)
+    for face in faces:
+        brush.line(camera.pixels(face), palette.DOOR, 3.0)
+    for start, end in map(camera.pixels, candidates):
+        brush.dashes(start, end, palette.DOOR)
+
+
+def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
+    """Circles for what is left to see, squares for known ground; the chosen goal is full."""
+    for index, pixel in enumerate(camera.pixels(view.to_world(view.p_goals))):
+        chosen = index == view.target
+        radius, width = (6.0, 0.0) if chosen else (4.0, 1.5)
+        if view.goal_kinds[index] >= KNOWN_GROUND:
+            brush.square(pixel, radius, palette.PLACE, width)
+        else:
+            brush.dot(pixel, radius, palette.GOAL, width)
+
 
 MARGIN, HEADER, FOOTER = 12, 58, 28
 SMALL_MARGIN, SMALL_HEADER = 8, 44  # of a thumbnail

@@ -13,8 +13,8 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import Associator, make_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
-from mecp_env.slam.filters.compatibility import Divergence
 from mecp_env.slam.filters.mounting import mount, robot_belief, robot_joint
+from mecp_env.slam.filters.window import Divergence
 from mecp_env.slam.grid.painter import GridPainter
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
 from mecp_env.slam.landmark_map.landmark_map import LandmarkMap

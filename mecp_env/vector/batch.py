@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from mecp_env.core.processes import Failure, WorkerDied
 from mecp_env.vector.checks import Seeds, check_copy, check_ids, check_integer, check_mode, check_options, check_seeds
 from mecp_env.vector.hosted import HostedEnvs
-from mecp_env.vector.infos import batched_infos
-from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, copied
+from mecp_env.vector.shared_buffers import ALONE, MASK, RESULT, batched_infos, copied
 from mecp_env.vector.worker import Info, Infos, Makers
 
 Bools = NDArray[np.bool_]

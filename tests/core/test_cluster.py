@@ -19,9 +19,8 @@ from benchmarks.common import Figures, Options
 from benchmarks.records import Records
 from mecp_env.cli import main as cli
 from mecp_env.core import cluster
-from mecp_env.core.cluster import code_of, connected, run_on_cluster
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.work_units import FailedUnit, KeptResults, Shard, run_units
+from mecp_env.core.work_units import FailedUnit, KeptResults, Shard, code_of, connected, run_on_cluster, run_units
 
 ROOT = Path(__file__).parents[2]
 HERE, HEAD, OTHER = "127.0.0.1", "127.0.0.2", "127.0.0.3"  # all loopback; Ray takes the first for the outer address

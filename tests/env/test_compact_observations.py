@@ -13,8 +13,7 @@ import pytest
 
 import mecp_env
 from mecp_env.core.errors import ConfigError, KeywordError
-from mecp_env.episode.compact_observations import goal_cells
-from mecp_env.episode.flat import unseen_floor
+from mecp_env.episode.compact_observations import goal_cells, unseen_floor
 from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import WAIT
 from mecp_env.slam.messages import Cell

@@ -12,8 +12,7 @@ from mecp_env.env import MecpEnv
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.planning.goal_list import Goal, GoalKind, Goals
-from mecp_env.planning.row_times import RowTimes
+from mecp_env.planning.goal_list import Goal, GoalKind, Goals, RowTimes
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import episode_of, make, same

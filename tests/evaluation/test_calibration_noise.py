@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from mecp_env.core.se2 import between, composed
-from mecp_env.evaluation.calibration.motions import Motions
-from mecp_env.evaluation.calibration.residuals import (
+from mecp_env.evaluation.calibration.motions import (
     ALONG,
     NOTHING,
     SIDE,
     TURN,
+    Motions,
     Residuals,
     fitted,
     noise_of,

@@ -10,8 +10,14 @@ import pytest
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.core.sensors import LaserView
 from mecp_env.evaluation import metric_arrays
-from mecp_env.evaluation.correct_coverage import correct_coverage
-from mecp_env.evaluation.ground_truth import CELL_M, DIRECTIONS, NO_OBSTACLES, DynamicObstacles, GroundTruth
+from mecp_env.evaluation.ground_truth import (
+    CELL_M,
+    DIRECTIONS,
+    NO_OBSTACLES,
+    DynamicObstacles,
+    GroundTruth,
+    correct_coverage,
+)
 from mecp_env.evaluation.map_scores import (
     distances,
     door_centres,

@@ -19,8 +19,18 @@ from mecp_env.planning.goal_sources import (
     gap_goals,
     open_goals,
 )
-from mecp_env.planning.goals import GoalHistory, GoalKind, Goals, Outcome, complete_rooms, find_goals
-from mecp_env.planning.levels import door_levels, levels_from, polygon_levels, rings_by_room
+from mecp_env.planning.goals import (
+    GoalHistory,
+    GoalKind,
+    Goals,
+    Outcome,
+    complete_rooms,
+    door_levels,
+    find_goals,
+    levels_from,
+    polygon_levels,
+    rings_by_room,
+)
 from mecp_env.planning.navigator import Target, settled
 from mecp_env.slam.messages import EdgeLabel
 from mecp_env.slam.output import SlamOutput

@@ -9,8 +9,8 @@ import pytest
 
 from mecp_env.planning.config import PathsConfig, PredictionConfig
 from mecp_env.planning.goal_list import Goal, GoalKind
+from mecp_env.planning.known_ground import correct_pose, drive_on, in_sight, predict, waypoints
 from mecp_env.planning.navigator import cost_to_go_field
-from mecp_env.planning.prediction import correct_pose, drive_on, in_sight, predict, waypoints
 from mecp_env.slam.messages import Cell
 from tests.slam import make
 

@@ -20,8 +20,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.brush import Brush
-from mecp_env.render.curves import curves_figure
-from mecp_env.render.figures import drawn, map_figure
+from mecp_env.render.figures import curves_figure, drawn, map_figure
 from mecp_env.render.plan_figures import plans_figure
 from mecp_env.render.stages import DECISIONS, KINDS, stage_figures
 from mecp_env.slam.messages import EdgeLabel

@@ -14,8 +14,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose, to_robot
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Camera
-from mecp_env.render.panels import grid_picture
-from mecp_env.render.screen import SMALL_HEADER, Screen, ScreenConfig, thumbnail
+from mecp_env.render.screen import SMALL_HEADER, Screen, ScreenConfig, grid_picture, thumbnail
 from mecp_env.render.shapes import loops, signed_area
 from mecp_env.render.window import Window
 from mecp_env.slam.messages import Cell

@@ -13,7 +13,7 @@ from mecp_env.slam.frontend.line_ends import EndBearing
 from mecp_env.slam.frontend.line_intersections import RolledScan
 from mecp_env.slam.grid.canvas import NOTHING
 from mecp_env.slam.grid.cells import Raster
-from mecp_env.slam.localisation.map_agreement import Agreement, Evidence
+from mecp_env.slam.localisation.pose_guard import Agreement, Evidence
 from mecp_env.slam.localisation.relocalisation import Hypothesis, Located
 from mecp_env.slam.mecp.edge_labels import EdgeBeams
 from mecp_env.slam.messages import (

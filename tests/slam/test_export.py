@@ -16,7 +16,7 @@ from mecp_env.cli.main import main
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.config import SensorModel
-from mecp_env.slam.outlines import area, door_outline, room_outline
+from mecp_env.slam.export import area, door_outline, room_outline
 from tests.slam import make
 from tests.slam.drives import fed, scripted_drive
 

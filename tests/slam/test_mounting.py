@@ -12,7 +12,7 @@ from mecp_env.core.sensors import LaserView
 from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.grid.key_scans import free_and_walls
-from mecp_env.slam.landmark_map.pruning import PruneLimits, is_seen_through
+from mecp_env.slam.landmark_map.tracks import PruneLimits, is_seen_through
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.env.helpers import make
 from tests.env.test_goal_actions import explore

@@ -16,17 +16,19 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError, SensorError
 from mecp_env.core.se2 import between
 from mecp_env.core.sensors import Scan
-from mecp_env.evaluation.calibration.motions import Motions, range_noise, registered_motions
-from mecp_env.evaluation.calibration.residuals import (
+from mecp_env.evaluation.calibration.motions import (
     ALONG,
     NAMES,
     NOTHING,
     SPREAD,
     TURN,
+    Motions,
     Residuals,
     Systematic,
     fitted,
     noise_of,
+    range_noise,
+    registered_motions,
     residuals,
     slip_as_turn,
     told,

@@ -8,8 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.slam.association.gating import chi2_gate, one_to_one, pairing_table
-from mecp_env.slam.association.match_builder import MatchBuilder
+from mecp_env.slam.association.gating import MatchBuilder, chi2_gate, one_to_one, pairing_table
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import (
     Belief,

@@ -38,9 +38,8 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association.cliques import ANY_HEADING, PairGraph, jointly_compatible
-from mecp_env.slam.association.gating import chi2_gate, one_to_one, pairing_table
-from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.polygon_matching import map_polygons_of
+from mecp_env.slam.association.gating import MatchBuilder, chi2_gate, one_to_one, pairing_table
+from mecp_env.slam.association.mecp import map_polygons_of
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter

@@ -18,7 +18,6 @@ from mecp_env.core.linalg import factor_lower, forward_rows, mirror_lower, solve
 from mecp_env.core.se2 import wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters.compatibility import FAR, centre_nis
 from mecp_env.slam.filters.core import Ekf
 from mecp_env.slam.filters.models import (
     change_chart,
@@ -30,7 +29,7 @@ from mecp_env.slam.filters.models import (
     retract,
 )
 from mecp_env.slam.filters.update import CONVERGED, apply_update, state_increment, take
-from mecp_env.slam.filters.window import as_floats, finite, observations
+from mecp_env.slam.filters.window import FAR, as_floats, centre_nis, finite, observations
 from mecp_env.slam.protocols import FilterError
 
 NO_NOISE = np.zeros((3, 3))

@@ -10,8 +10,14 @@ import numpy as np
 from mecp_env.core.carriers import Ints
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
-from mecp_env.slam.landmark_map.pruning import PruneLimits, find_duplicate, find_pruned
-from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
+from mecp_env.slam.landmark_map.tracks import (
+    PruneLimits,
+    drop_tracks,
+    find_duplicate,
+    find_pruned,
+    find_unconfirmed,
+    track_corners,
+)
 from mecp_env.slam.messages import (
     Belief,
     CornerKind,

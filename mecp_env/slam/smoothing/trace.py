@@ -14,8 +14,7 @@ from mecp_env.slam.filters.mounting import predict_mounted
 from mecp_env.slam.messages import NO_ID, Belief, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.smoothing.graph import Links, PoseGraph, Priors, Sightings, SmoothingError, inverses
-from mecp_env.slam.smoothing.optimum import smooth
+from mecp_env.slam.smoothing.optimum import Links, PoseGraph, Priors, Sightings, SmoothingError, inverses, smooth
 
 NO_IDS = np.empty(0, np.int64)
 Seen = tuple[int, Ints, Array, Array]  # scan, ids (c,), z (c,2), R (2c,2c)

@@ -8,16 +8,15 @@ import pytest
 from mecp_env.slam.association.gating import (
     FIXED,
     HERE,
+    MatchBuilder,
     chi2_gate,
+    greedy_joint_compatibility,
     mask_by_descriptor,
     mask_by_room,
     one_to_one,
     possible_pairs,
 )
-from mecp_env.slam.association.joint_compatibility import greedy_joint_compatibility
-from mecp_env.slam.association.match_builder import MatchBuilder
-from mecp_env.slam.association.mecp import MecpAssociator, accept
-from mecp_env.slam.association.polygon_matching import polygon_hypotheses
+from mecp_env.slam.association.mecp import MecpAssociator, accept, polygon_hypotheses
 from mecp_env.slam.config import AssociationConfig, FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import (

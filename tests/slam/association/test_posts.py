@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.association import Associator, OracleAssociator, make_associator
-from mecp_env.slam.association.match_builder import MatchBuilder
+from mecp_env.slam.association.gating import MatchBuilder
 from mecp_env.slam.association.posts import PostsApart
 from mecp_env.slam.config import AssociationConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason

@@ -11,7 +11,7 @@ import pytest
 from mecp_env.core.se2 import compose, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf
-from mecp_env.slam.filters.resting import near_any, overlaid
+from mecp_env.slam.filters.submap import near_any, overlaid
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
 from tests.slam import make
 

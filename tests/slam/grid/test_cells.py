@@ -7,7 +7,7 @@ import pytest
 import shapely
 
 from mecp_env.slam.grid import cells
-from mecp_env.slam.grid.pockets import apart_from, find_pockets
+from mecp_env.slam.grid.canvas import apart_from, find_pockets
 from mecp_env.slam.messages import Cell
 from tests.slam import make
 

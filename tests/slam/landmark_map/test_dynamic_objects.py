@@ -14,7 +14,7 @@ from mecp_env.slam.landmark_map.dynamic_objects import (
     whole_bodies,
     without_dynamic,
 )
-from mecp_env.slam.landmark_map.pruning import PruneLimits, find_pruned
+from mecp_env.slam.landmark_map.tracks import PruneLimits, find_pruned
 from mecp_env.slam.messages import Decision, Reason
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam import make

@@ -7,8 +7,7 @@ import pytest
 
 from mecp_env.slam.config import SlamConfig, TrackConfig
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
-from mecp_env.slam.landmark_map.pruning import find_duplicate
-from mecp_env.slam.landmark_map.tracks import drop_tracks, find_unconfirmed, track_corners
+from mecp_env.slam.landmark_map.tracks import drop_tracks, find_duplicate, find_unconfirmed, track_corners
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     CornerKind,

@@ -15,9 +15,8 @@ from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp import STRUCTURES, find_structure, register_structure
-from mecp_env.slam.mecp.cycles import best_cycles, visible_edges
+from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, visible_edges
 from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut
-from mecp_env.slam.mecp.largest_area import largest_cycle
 from mecp_env.slam.mecp.polygons import best_free_cycles
 from mecp_env.slam.messages import Polygon
 from mecp_env.slam.pipeline import SlamPipeline

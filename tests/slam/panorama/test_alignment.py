@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from mecp_env.core.se2 import to_map, wrap_angle
-from mecp_env.slam.panorama.alignment import align, count_against, index_of, nearest
+from mecp_env.slam.panorama.registration import align, count_against, index_of, nearest
 
 
 @pytest.mark.parametrize("seed", range(20))
