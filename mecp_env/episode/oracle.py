@@ -9,7 +9,7 @@ from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.slam.association import OracleAssociator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.oracle import OraclePoseFilter
+from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Filter
 

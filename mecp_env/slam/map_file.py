@@ -30,12 +30,13 @@ from mecp_env.core.snapshot_check import (
     check_shapes,
     examples_of,
 )
+from mecp_env.slam.association.oracle import NoCorrespondences, OracleAssociator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.filters.mounting import mount
+from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.messages import FEATURE, NO_ID, UNKNOWN_ROOM, FeatureState, SemanticGrid
-from mecp_env.slam.oracle import NoCorrespondences, OracleAssociator, OraclePoseFilter
 
 SHAPES: Shapes = {
     "Belief": {

@@ -19,11 +19,12 @@ from mecp_env.core.snapshot import FileKind, encode, save_snapshot
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
 from mecp_env.slam.association import Associator, MecpAssociator
+from mecp_env.slam.association.oracle import NoCorrespondences
 from mecp_env.slam.config import METHODS
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf, make_filter
+from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.map_file import FILE, place
 from mecp_env.slam.messages import FeatureState
-from mecp_env.slam.oracle import NoCorrespondences, OraclePoseFilter
 from mecp_env.slam.protocols import FilterError
 from tests.env.helpers import same
 from tests.env.test_state_fuzz import PARTS, mutate, nodes

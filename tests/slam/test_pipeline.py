@@ -11,9 +11,9 @@ from mecp_env.slam.association import ASSOCIATORS, MatchBuilder, make_associator
 from mecp_env.slam.checks import MatchError, SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.filters import make_filter
+from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
-from mecp_env.slam.oracle import OraclePoseFilter
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from tests.slam.drives import scripted_drive

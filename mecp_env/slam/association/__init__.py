@@ -5,6 +5,7 @@ from collections.abc import Callable
 from mecp_env.core.registry import register
 from mecp_env.slam.association.gating import MatchBuilder, ignored
 from mecp_env.slam.association.mecp import JointDescriptorAssociator, MecpAssociator
+from mecp_env.slam.association.oracle import OracleAssociator
 from mecp_env.slam.association.posts import PostsApart
 from mecp_env.slam.association.rivals import (
     CcdaAssociator,
@@ -15,7 +16,6 @@ from mecp_env.slam.association.rivals import (
     NearestRoomAssociator,
 )
 from mecp_env.slam.config import METHODS, AssociationConfig
-from mecp_env.slam.oracle import OracleAssociator
 from mecp_env.slam.protocols import Associator
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {

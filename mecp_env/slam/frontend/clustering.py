@@ -10,7 +10,7 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import ClusteringConfig, SegmentConfig, SensorModel
-from mecp_env.slam.frontend.scan import Record, laser_noise
+from mecp_env.slam.frontend.beams import Record, laser_noise
 from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
 
 

@@ -10,6 +10,7 @@ from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import CornerConfig, SensorModel
+from mecp_env.slam.frontend.beams import Record, Records, laser_noise, roll_beams
 from mecp_env.slam.frontend.door_gaps import find_doorways, mark_beyond
 from mecp_env.slam.frontend.line_ends import add_end
 from mecp_env.slam.frontend.line_intersections import (
@@ -20,7 +21,6 @@ from mecp_env.slam.frontend.line_intersections import (
     empty_corners,
     spread_of,
 )
-from mecp_env.slam.frontend.scan import Record, Records, laser_noise, roll_beams
 from mecp_env.slam.messages import CornerKind, Corners, Doorways, MergedScan, Segments
 
 Found = tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]

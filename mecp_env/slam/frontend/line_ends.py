@@ -10,8 +10,8 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
+from mecp_env.slam.frontend.beams import Noise, Record
 from mecp_env.slam.frontend.line_intersections import Lines, RolledScan, add_floor, spread_of
-from mecp_env.slam.frontend.scan import Noise, Record
 from mecp_env.slam.messages import CornerKind
 
 SMEAR = 1.0 / math.sqrt(math.pi)  # integral of Phi (1 - Phi): a transition blurred by the bearing noise

@@ -10,7 +10,7 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools, Ints, row_type
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.frontend.scan import Noise, Record, Records
+from mecp_env.slam.frontend.beams import Noise, Record, Records
 from mecp_env.slam.messages import CornerKind
 
 FOUND = row_type(

@@ -14,7 +14,7 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.slam.frontend.scan import Noise, Record
+from mecp_env.slam.frontend.beams import Noise, Record
 
 ITERATIONS = 2
 

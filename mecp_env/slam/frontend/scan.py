@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from typing import Any, Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 
@@ -15,48 +15,8 @@ from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.sensors import Scan
 from mecp_env.slam.config import SensorModel
+from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.messages import MergedScan, Segments
-
-Record = Any  # a row of `Settings.record` or of a structured array: numbers by name
-Records = Any  # a structured array
-
-
-class Noise(NamedTuple):
-    """The noise of one raw beam, and what counts as noise."""
-
-    range_m: float  # standard deviation, or
-    share: float  # this share of the range, whichever is larger
-    bearing: float  # rad, standard deviation
-    gate: float  # `noise_sigmas`
-    outlier: float  # `outlier_sigmas`
-    least_cosine: float
-    edge: int  # `edge_beams`
-    face_gain: float
-    grazing: float  # rad, incidence beyond which no beam returns; pi: each does
-
-
-@compiled
-def laser_noise(sensor: Rows) -> Noise:
-    """The noise of `SensorModel.record`; a perfect laser gets a small range sigma."""
-    model = sensor[0]
-    range_m = max(model.range_sigma_m, model.least_range_sigma_m)
-    gates, edge = (model.noise_sigmas, model.outlier_sigmas), (model.least_cosine, model.edge_beams, model.face_gain)
-    grazing = model.grazing_rad if model.grazing_deg < 90.0 else np.pi
-    return Noise(range_m, model.range_sigma_share, model.bearing_sigma_rad, *gates, *edge, grazing)
-
-
-@compiled
-def roll_beams(ranges: Array, bearings: Array, count: Ints, roll: int) -> Array:
-    """(3,B) from beam `roll` on: range m, bearing rad rising through the wrap at pi, number of raw beams."""
-    size = ranges.shape[0]
-    polar = np.empty((3, size))
-    for beam in range(roll, size):
-        at = beam - roll
-        polar[0, at], polar[1, at], polar[2, at] = ranges[beam], bearings[beam], count[beam]
-    for beam in range(roll):
-        at = beam + size - roll
-        polar[0, at], polar[1, at], polar[2, at] = ranges[beam], bearings[beam] + 2.0 * np.pi, count[beam]
-    return polar
 
 
 def restore_lost_beams(beams: MergedScan, sensor: SensorModel) -> MergedScan:

@@ -14,6 +14,7 @@ from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import solve3
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.config import SegmentConfig, SensorModel
+from mecp_env.slam.frontend.beams import Noise, Record, laser_noise, roll_beams
 from mecp_env.slam.frontend.lines import (
     FEWEST,
     absorb_slivers,
@@ -25,7 +26,6 @@ from mecp_env.slam.frontend.lines import (
     split_cluster,
     without_end_face,
 )
-from mecp_env.slam.frontend.scan import Noise, Record, laser_noise, roll_beams
 from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan, Segments
 
 ITERATIONS = 5

@@ -9,11 +9,11 @@ import pytest
 
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
+from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.door_gaps import widening
 from mecp_env.slam.frontend.line_ends import write_end
 from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
-from mecp_env.slam.frontend.scan import laser_noise
 from mecp_env.slam.messages import CornerKind
 from tests.slam import make
 from tests.slam.scans import (

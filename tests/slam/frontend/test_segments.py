@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import SegmentConfig, SensorModel, SlamConfig
+from mecp_env.slam.frontend.beams import laser_noise, roll_beams
 from mecp_env.slam.frontend.lines import beam_points, line_cost, split_cluster
-from mecp_env.slam.frontend.scan import laser_noise, roll_beams
 from mecp_env.slam.frontend.segments import circle_cost
 from tests.slam.scans import EXACT, LMS200, PAPER, ROOM, blank_scan, chain, front_end, ring, take_scan, turned
 
