@@ -24,7 +24,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common import (
     Figures,
@@ -43,13 +42,11 @@ from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import DEFAULT, RIVALS, with_change
+from mecp_env.core.carriers import Bools, Ints
 from mecp_env.evaluation.metric_arrays import is_lost
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that override those of the drive
     "mecp": {},
@@ -85,10 +82,10 @@ class Pairs:
     step: Ints
     true: Ints  # true corner, -1 for none
     claimed: Ints  # true corner of the matched landmark, -1 for none or no match
-    matched: NDArray[np.bool_]
+    matched: Bools
 
     @property
-    def wrong(self) -> NDArray[np.bool_]:
+    def wrong(self) -> Bools:
         return self.matched & ((self.true < 0) | (self.claimed != self.true))
 
 

@@ -21,13 +21,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, best_of, chosen, grouped, in_parallel, ratio, table
 from benchmarks.drives import Drive
 from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
 from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import DEFAULT, RIVALS
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
@@ -35,9 +35,6 @@ from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CORNERS, SPURIOUS = 20, 4
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -139,7 +136,7 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
     return Corners(z[order], cov, *marks, doorways), np.where(spurious, -1, source)
 
 
-def independent(cov: Array, alone: NDArray[np.bool_]) -> Array:
+def independent(cov: Array, alone: Bools) -> Array:
     """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
     correlated = np.repeat(~alone, 2)
     own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))

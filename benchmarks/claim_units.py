@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import association, loop
 from benchmarks.common import Figures
@@ -17,6 +16,7 @@ from benchmarks.features import SEED, key_of, threshold
 from benchmarks.polygon_centres import in_the_map, in_the_scan
 from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import with_change
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.map_scores import covers
 from mecp_env.slam.config import PolygonConfig, SlamConfig
@@ -25,8 +25,6 @@ from mecp_env.slam.mecp.dobkin import rings_around
 from mecp_env.slam.messages import Corners, Polygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-
-Array = NDArray[np.float64]
 
 METHODS: dict[str, dict[str, Any]] = {  # some of the benchmark `association`
     name: association.methods()[name]
@@ -121,7 +119,7 @@ def of_kernel(corners: Corners) -> dict[str, int]:
 
 def lines_of_sight(
     drive: Drive, output: SlamOutput, polygons: tuple[Polygon, ...], T_world_robot: Array, rng: np.random.Generator
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether true walls leave the line free from each of a few points in the first polygon to each of its vertices.
 
     Only vertices that are true corners count, at their true places.

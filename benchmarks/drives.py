@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
@@ -27,9 +27,6 @@ from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion
 from mecp_env.wrappers import GoalActions
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FAR_SHARE = 0.93  # of the laser's range; walls end there that go on
 

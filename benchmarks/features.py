@@ -13,16 +13,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, readable, table
 from benchmarks.corner_scores import Score, make_places, score_places
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind
 from mecp_env.world.layout import shipped_layouts
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SEED = 1  # not the seed used for tuning
 PRESETS = tuple((preset, sweeps) for preset in ("paper", "lms200", "ideal") for sweeps in (4, 1))

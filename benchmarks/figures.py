@@ -15,22 +15,19 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks import paper_plots
 from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.drives import Drive
 from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.render import shapes
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LAYOUT, SEED = "paper", 0
 FIRST_SCANS = 120  # figures 2 and 3 are of one of these

@@ -10,15 +10,13 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
+from mecp_env.core.carriers import Array
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FILTERS, make_filter
-
-Array = NDArray[np.float64]
 
 LANDMARKS = (25, 50, 100, 200)
 CORNERS = 12  # per scan

@@ -8,18 +8,16 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.drives import record_drive
 from benchmarks.loop import HARD, MAX_STEPS, finish
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.filters.models import change_chart
 from mecp_env.slam.messages import UNKNOWN_ROOM, Candidate, Door, MapPolygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 Pair = tuple[int, int]
 
 FIRST_BUILDING = 700  # of those that are joined; other benchmarks use those before

@@ -25,18 +25,16 @@ from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.variants import RIVALS, with_change
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.pipeline import SlamPipeline
-
-Array = NDArray[np.float64]
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500

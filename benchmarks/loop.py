@@ -26,7 +26,6 @@ from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
 from benchmarks.drives import Drive
@@ -45,6 +44,7 @@ from benchmarks.variants import (
     two_pass_jcbb,
     with_change,
 )
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
@@ -58,9 +58,6 @@ from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, P
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from mecp_env.world.schema import Layout
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
 VARIANTS: dict[str, Variant] = {
@@ -209,7 +206,7 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
     return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot, beams)
 
 
-def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
+def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, Bools]:
     """Corners of a scan, its beams, and which of these end on a wall."""
     rule = slam.clustering
     beams = merge_sweeps(scan, slam.sensor, rule.sweeps)

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import to_map
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def map_nees(truth: GroundTruth, log: AssociationLog, belief: Filter, T_map_world: Array) -> tuple[float, float]:

@@ -22,10 +22,10 @@ import gymnasium
 import numpy as np
 import shapely
 import yaml
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures, ratio, table
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
+from mecp_env.core.carriers import Array
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
 
@@ -34,7 +34,6 @@ EPISODE = 10  # blocks; an episode may end earlier by itself
 BLOCK = 100  # steps of ours
 STEP_S = 0.4
 
-Array = NDArray[np.float64]
 Block = Callable[[], tuple[int, float]]  # drives a block: steps, CPU seconds
 
 

@@ -12,9 +12,9 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
@@ -29,9 +29,8 @@ from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline, random_free_pose
 
-Array = NDArray[np.float64]
 Item = TypeVar("Item")
-SeenScan = tuple[Corners, MergedScan, NDArray[np.bool_]]
+SeenScan = tuple[Corners, MergedScan, Bools]
 
 SITES = (5, 10, 15, 20, 30, 40)
 SIGMAS = np.full(max(SITES), 0.02)  # m

@@ -11,16 +11,12 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.messages import Belief
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 ROOM_M = 6.0
 RING = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]

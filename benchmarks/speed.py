@@ -13,12 +13,12 @@ from typing import Any
 
 import numpy as np
 import pymunk
-from numpy.typing import NDArray
 
 from benchmarks import crowd_speed, peers, polygon_speed
 from benchmarks.common import Figures, Gate, Options, table
 from benchmarks.polygon_speed import SITES
 from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
+from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.config import LaserConfig
@@ -26,8 +26,6 @@ from mecp_env.world.laser import Laser, _cast
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
 from mecp_env.wrappers import GoalActions
-
-Array = NDArray[np.float64]
 
 LAYOUT = "paper"
 SWEEPS = (1, 4)
