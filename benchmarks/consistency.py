@@ -17,7 +17,6 @@ on the same drives.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,23 +26,14 @@ from scipy.stats import chi2
 
 from benchmarks import loop
 from benchmarks.batch import FLOOR, Motion, Optimum, Record, Sighting, filtered, in_order, optimum
-from benchmarks.common import (
-    Figures,
-    Gate,
-    Options,
-    chosen,
-    estimate,
-    grouped,
-    in_parallel,
-    load_modules,
-    ratio,
-    table,
-)
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive
 from benchmarks.map_consistency import mean_nees
 from benchmarks.plots import DASHES, GREYS
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table_of
 from mecp_env.core.carriers import Array
+from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
@@ -77,15 +67,9 @@ GATES = (
 def run(options: Options) -> Figures:
     """Results of every model and filter. Raises `OptionError` without GTSAM."""
     load_modules(options.modules)
-    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
-    drives = [
-        (model, seed)
-        for model, count in counts.items()
-        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
-    ]
+    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
     drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each model
-    task = partial(compare, records=Records(options.records))
-    runs = grouped(drives, in_parallel(task, dict[str, Figures], drives, options))
+    runs = on_records(compare, dict[str, Figures], drives, options)
     return {model: {name: summarise(of_model, name) for name in of_model[0]} for model, of_model in runs.items()}
 
 
@@ -243,15 +227,14 @@ def report(figures: Figures) -> str:
     """Per model a table with one row per filter."""
     columns = ["nees", "landmark_nees", "landmark_rms_m", "over_batch", "sigma_over_batch", "rmse_m"]
     columns += [f"{name}_minus_{BASE}" for name in ("nees", "landmark_nees", "landmark_rms_m")]
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for model, rows in figures.items():
         n = rows[BASE]["nees"]["n"]
         low, high = band(n)
         head = f"## {model} ({n} drives)\n\nThe mean of {n} NEES of a pose is in [{low:.2f}, {high:.2f}] in 95 %."
         said = f" `batch`: chi2 per degree of freedom {rows[BATCH]['chi2_over_freedom']['value']:.3f}."
-        body = [[name, *(row.get(column, "-") for column in columns)] for name, row in rows.items()]
-        parts.append(f"{head}{said}\n\n{table(['filter', *columns], body)}")
-    return "\n\n".join(parts)
+        parts.append(f"{head}{said}\n\n{table_of('filter', columns, rows)}")
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -14,8 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, estimate, table
+from benchmarks.common import Figures
+from benchmarks.tables import table
 from mecp_env.cli.stopwatch import Stopwatch, timed_stages
+from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed

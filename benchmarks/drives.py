@@ -16,6 +16,7 @@ from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
+from mecp_env.evaluation.metric_arrays import is_lost
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.association import OracleAssociator, make_associator
@@ -61,6 +62,21 @@ class Replay:
     far: int  # corners beyond 93 % of the laser's range
     phantoms: int  # those of them that do not exist
     polygon_share: float  # of the scans, with a polygon
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """The figures of the whole drive."""
+        tp, fp, fn, _ = (int(n) for n in self.log.final_counts())
+        plain = ("map_rmse_m", "landmarks_false", "duplicates", "far", "phantoms", "associate_ms", "polygon_share")
+        return {
+            "tp": tp,
+            "fp": fp,
+            "fn": fn,
+            "rmse_m": float(np.sqrt((self.error_m**2).mean())),
+            "nees": float(self.nees.mean()),
+            "lost": is_lost(self.error_m, self.error_rad, self.diverged),
+            **{name: getattr(self, name) for name in (*plain, "landmark_nees", "pair_nees")},
+        }
 
 
 @dataclass(slots=True, eq=False)

@@ -17,10 +17,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import paper_plots
-from benchmarks.common import Figures, Gate, Options, table
+from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import Drive
 from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
+from benchmarks.tables import page, table
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.core.sensors import Scan
@@ -194,7 +195,7 @@ def errors_of(shown: Shown) -> Figures:
 
 def report(figures: Figures) -> str:
     """The pictures, each with its numbers."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for name, numbers in figures.items():
         rows = (
             numbers.items()
@@ -205,4 +206,4 @@ def report(figures: Figures) -> str:
         parts.append(
             f"{title}\n\n![{paper_plots.TITLES[name]}](figures/{name}.png)\n\n{table(['figure', 'value'], rows)}"
         )
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)

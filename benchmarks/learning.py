@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.common import Figures, Gate, Options
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate
 
 ALGORITHMS = ("maskable_ppo", "ppo")
 RATE, WAITING = "periods_per_s", "waiting_share"

@@ -22,16 +22,17 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table
 from benchmarks.variants import (
     CLIPPER,
     DEFAULT,
@@ -126,15 +127,9 @@ class Look:
 
 def run(options: Options) -> Figures:
     """Results of every set, variant and sigma of the pose."""
-    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
     scans = QUICK_SCANS if options.quick else SCANS
-    drives = [
-        (layout, scans, seed)
-        for layout in counts
-        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
-    ]
-    task = partial(compare, records=Records(options.records))
-    results = grouped(drives, in_parallel(task, dict[str, dict[str, Figures]], drives, options))
+    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)]
+    results = on_records(compare, dict[str, dict[str, Figures]], drives, options)
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
@@ -257,21 +252,19 @@ def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
 
 def figures_of(drives: list[Figures]) -> Figures:
     """Results of one variant at one sigma."""
-    counts = {name: np.array([float(drive[name]) for drive in drives]) for name in drives[0]}
+    counts = columns_of(drives)
     return {
-        "right": ratio(counts["right"], counts["scans"]),
-        "possible": ratio(counts["possible"], counts["scans"]),
-        "wrong": ratio(counts["wrong"], counts["pairs"]),
+        **ratios(counts, right="right/scans", possible="possible/scans", wrong="wrong/pairs"),
         "wrong_pairs": int(counts["wrong"].sum()),
-        "polygon": ratio(counts["polygon"], counts["scans"]),
-        "ms": estimate(counts["ms"]),
+        **ratios(counts, polygon="polygon/scans"),
+        **means(counts, "ms"),
         "scans": int(counts["scans"].sum()),
     }
 
 
 def report(figures: Figures) -> str:
     """Per set a table of right scans, one of wrong pairs, one of recognised polygons and one of times."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     if not any(name in variants for variants in figures.values() for name in KISS):
         parts.append("KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing.")
     for layout, variants in figures.items():
@@ -281,7 +274,7 @@ def report(figures: Figures) -> str:
         for name, title in TITLES.items():
             rows = [[variant, *(cells[sigma][name] for sigma in cells)] for variant, cells in variants.items()]
             parts.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

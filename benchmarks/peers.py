@@ -23,9 +23,11 @@ import numpy as np
 import shapely
 import yaml
 
-from benchmarks.common import Figures, ratio, table
+from benchmarks.common import Figures
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
+from benchmarks.tables import page, table
 from mecp_env.core.carriers import Array
+from mecp_env.core.intervals import ratio
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
 
@@ -175,5 +177,4 @@ def report(figures: Figures) -> str:
         for actions, values in both.items()
     ]
     head = ["peer", "sweeps", "actions", "our steps per second over the peer's", "our steps per second", "the peer's"]
-    about = (__doc__ or "").partition("\n\n")[2].strip()
-    return f"{about}\n\n{table(head, rows)}" if rows else "The extra `peers` is not installed."
+    return page(__doc__, table(head, rows)) if rows else "The extra `peers` is not installed."

@@ -15,8 +15,9 @@ import numpy as np
 import pymunk
 
 from benchmarks import crowd_speed, peers, polygon_speed
-from benchmarks.common import Figures, Gate, Options, table
+from benchmarks.common import Figures, Gate, Options
 from benchmarks.polygon_speed import SITES
+from benchmarks.tables import table
 from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv

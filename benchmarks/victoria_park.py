@@ -19,7 +19,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.batch import Motion, Optimum, Record, Sighting, filtered, in_order, optimum
-from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data, table
+from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data
+from benchmarks.tables import page, table
 from mecp_env.core.carriers import Array
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, AssociationConfig, FilterConfig
@@ -123,4 +124,4 @@ def report(figures: Figures) -> str:
     ]
     best = figures["batch"]
     said = f"Batch optimum: chi2 {best['chi2']:.0f} at {best['freedom']} degrees of freedom."
-    return "\n\n".join([str(__doc__).partition("\n\n")[2].strip(), said, table(["filter", "updates", *columns], rows)])
+    return page(__doc__, said, table(["filter", "updates", *columns], rows))
