@@ -80,8 +80,7 @@ def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
         dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw", "searched", "lost", "none"), 0),
     )
     shares = []
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    for output, T_world_robot in drive.outputs(pipeline):
         if output.polygons and len(output.polygons[0].corners) >= MATCHABLE:
             sums["found"] += 1
             sums["unique"] += len(output.polygons) == 1

@@ -158,6 +158,21 @@ def grouped(units: Sequence[tuple[Any, ...]], results: Sequence[Any]) -> dict[An
     return groups
 
 
+def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> list[dict[Any, Any]]:
+    """The results of all calls by name in each round, in which another one is first each time."""
+    names = list(calls)
+    turns = (names[k % len(names) :] + names[: k % len(names)] for k in range(rounds))
+    return [{name: calls[name]() for name in turn} for turn in turns]
+
+
+def steps_per_s(step: Callable[[], int], seconds: float) -> float:
+    """Control steps per second of calls that return their number, over at least this time."""
+    start, steps = time.perf_counter(), 0
+    while time.perf_counter() < start + seconds:
+        steps += step()
+    return steps / (time.perf_counter() - start)
+
+
 def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
     """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
     call()

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -41,6 +41,11 @@ class Drive:
     odometry: list[Odometry | None]
     scans: list[Scan]
     T_world_robot: list[Array]  # true poses
+
+    def outputs(self, pipeline: SlamPipeline) -> Iterator[tuple[SlamOutput, Array]]:
+        """The output of an estimator at each scan, and the true pose (3,) there."""
+        for odometry, scan, T_world_robot in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
+            yield pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan), T_world_robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,17 +128,35 @@ class RecordingEnv(MecpEnv):
         return odometry, scan
 
 
+def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], bool]]:
+    """Explore breadth first from a start given by the seed: the info after each goal, and whether it terminated."""
+    policy, over = BreadthFirst(), False
+    observation, _ = env.reset(seed=seed)
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
+        over = terminated or truncated
+        yield info, terminated
+
+
+def drive_at_random(env: MecpEnv, steps: int, seed: int = 0) -> None:
+    """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
+    rng = np.random.default_rng(seed)
+    for step in range(steps):
+        if step % 1000 == 0:
+            env.reset(seed=seed + step)
+        if step % 10 == 0:
+            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset(seed=seed + step)
+
+
 def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:
     """A breadth-first exploration of `layout` with the estimated map, from a start given by the seed."""
     inner = RecordingEnv(layout=layout, start="random", **keywords)
     env = GoalActions(inner)
-    policy = BreadthFirst()
-    policy.reset()
-    observation, _ = env.reset(seed=seed)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
-        over = terminated or truncated
+    for _ in exploration(env, seed):
+        pass
     return inner.drive
 
 

@@ -95,9 +95,9 @@ def gather(records: Path | None) -> Shown:
     drive = Records(records).drive(Course(LAYOUT, SEED))
     pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
     outputs = []
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        outputs.append(pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan))
-        log.record(outputs[-1], drive.truth.identify(outputs[-1].corners, T_world_robot))
+    for output, T_world_robot in drive.outputs(pipeline):
+        outputs.append(output)
+        log.record(output, drive.truth.identify(output.corners, T_world_robot))
     chosen = max(range(FIRST_SCANS), key=lambda step: length_of(sparse_stretches(drive, step)))
     early = next(k for k, output in enumerate(outputs) if len(output.graph.rooms) > FIRST_ROOMS) - 1
     recognised, centres = recognised_polygon(outputs, pipeline)

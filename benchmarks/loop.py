@@ -186,8 +186,7 @@ def building(layout: str, seed: int) -> Layout:
 def finish(drive: Drive) -> Finished:
     """The map that the default estimator makes of a drive."""
     pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    for output, T_world_robot in drive.outputs(pipeline):
         log.record(output, drive.truth.identify(output.corners, T_world_robot))
     return Finished(pipeline, log.features[:, 0], inverse(drive.T_world_robot[0]))
 

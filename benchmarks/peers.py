@@ -23,7 +23,7 @@ import numpy as np
 import shapely
 import yaml
 
-from benchmarks.common import Figures
+from benchmarks.common import Figures, in_turns
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
 from benchmarks.tables import page, table
 from mecp_env.core.carriers import Array
@@ -138,10 +138,8 @@ def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
     drivers: dict[Any, Block] = peers | {(k, kind): Ours(k, kind) for k in sweeps for kind in ACTIONS}
     for drive in drivers.values():
         drive()  # loads compiled functions
-    names = list(drivers)
-    turned = [names[k % len(names) :] + names[: k % len(names)] for k in range(turns)]
-    blocks = [{name: drivers[name]() for name in turn} for turn in turned]
-    per_step = {name: np.array([turn[name][1] / turn[name][0] for turn in blocks]) for name in names}
+    blocks = in_turns(drivers, turns)
+    per_step = {name: np.array([turn[name][1] / turn[name][0] for turn in blocks]) for name in drivers}
     return {
         peer: {f"K={k}": {kind: compared(per_step[k, kind], per_step[peer]) for kind in ACTIONS} for k in sweeps}
         for peer in peers

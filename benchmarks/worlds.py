@@ -23,11 +23,11 @@ from typing import Any
 import mecp_env
 from benchmarks.columns import columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, shared_data
+from benchmarks.drives import exploration
 from benchmarks.tables import table
 from mecp_env.core.intervals import estimate, share
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
-from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.registration import make
 from mecp_env.render.figures import map_figure, save
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
@@ -140,12 +140,9 @@ def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -
     """A breadth-first exploration from a start given by the seed, and the environment at its end."""
     env = make(layout=layout, actions="goal", max_steps=max_steps, start="random", **keywords)
     assert isinstance(env, GoalActions)
-    policy, begun = BreadthFirst(), time.thread_time()
-    observation, info = env.reset(seed=seed)
-    policy.reset()
-    terminated = truncated = False
-    while not (terminated or truncated):
-        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
+    begun = time.thread_time()
+    for info, terminated in exploration(env, seed):  # noqa: B007
+        pass
     speed = info["period"] / (time.thread_time() - begun)
     return Visit(env.get_wrapper_attr("summary")(), terminated, speed, info["saturated"]), env
 
