@@ -34,6 +34,7 @@ from benchmarks.variants import DEFAULT, RIVALS, with_change
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.core.intervals import estimate, share
 from mecp_env.evaluation.metrics import AssociationLog
+from mecp_env.policies.report_table import cell
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
 
@@ -215,20 +216,15 @@ def report(figures: Figures) -> str:
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
     columns += ("pair_nees", "lost", "associate_ms")
-    lines = []
+    parts = []
     for layout, methods in figures.items():
-        lines += [f"## {layout} ({methods['mecp']['precision']['n']} seeds)", ""]
-        lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for method, row in methods.items():
-            lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")
-        lines += ["", "Mean difference to `mecp` on the same drives:", ""]
-        paired = [name for name in row if name.endswith("_minus_mecp")]
-        lines += [table_of("associator", paired, methods), ""]
-    return "\n".join(lines)
+        paired = [name for name in methods["mecp"] if name.endswith("_minus_mecp")]
+        parts += [f"## {layout} ({methods['mecp']['precision']['n']} seeds)", shown(columns, methods)]
+        parts += ["Mean difference to `mecp` on the same drives:", table_of("associator", paired, methods)]
+    return "\n\n".join(parts) + "\n"
 
 
-def cell(figure: Figures) -> str:
-    """value [low, high]."""
-    if figure["value"] is None:
-        return "-"
-    return f"{figure['value']:.4g} [{figure['low']:.4g}, {figure['high']:.4g}]"
+def shown(columns: Sequence[str], methods: dict[str, Figures]) -> str:
+    """The table of all associators, with four digits of large numbers, too."""
+    cells = {name: {column: cell(row[column], ".4g", 1.0) for column in columns} for name, row in methods.items()}
+    return table_of("associator", columns, cells)

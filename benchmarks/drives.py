@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.errors import nees as nees_of
 from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
@@ -186,19 +187,13 @@ def replay(
         covs.append(output.belief.pose_cov)
         if output.diverged:
             break
-    nees, position_nees = (normalised(np.array(errors), np.array(covs), size) for size in (3, 2))
+    nees, position_nees = (nees_of(np.array(errors)[:, :size], np.array(covs)[:, :size, :size]) for size in (3, 2))
     x, y, heading = np.array(errors).T
     duplicates = log.duplicates(output.belief.ids)
     metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
     of_map = metrics.map_error(drive.truth, output.belief) + map_nees(drive.truth, log, pipeline.filter, T_map_world)
     scores = log, np.hypot(x, y), heading, nees, position_nees, duplicates, *of_map, output.diverged
     return Replay(*scores, associator.median_ms, *far.tolist(), float(np.mean(polygons)))
-
-
-def normalised(errors: Array, covs: Array, size: int) -> Array:
-    """(n,) e^T P^-1 e of the first `size` numbers of errors (n,m) with covariances (n,m,m)."""
-    e = errors[:, :size]
-    return np.asarray((e * np.linalg.solve(covs[:, :size, :size], e[:, :, None])[:, :, 0]).sum(axis=1))
 
 
 def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:

@@ -50,10 +50,7 @@ from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
-from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.scan import merge_sweeps
-from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.frontend.front_end import front_end as features_of
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
@@ -202,12 +199,8 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
 
 def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, Bools]:
     """Corners of a scan, its beams, and which of these end on a wall."""
-    rule = slam.clustering
-    beams = merge_sweeps(scan, slam.sensor, rule.sweeps)
-    clusters = cluster_beams(beams, rule, slam.segments, slam.sensor, rule.united(len(scan.ranges)))
-    segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
-    corners = extract_corners(beams, segments, slam.corners, slam.sensor)
-    return corners, beams, beams_on_walls(clusters, beams)
+    found = features_of(scan, slam)
+    return found.corners, found.beams, found.wall
 
 
 def count_scans(
