@@ -35,106 +35,58 @@ from mecp_env.core.interrupts import INTERRUPTED
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-OPEN = (  # compare registered parts too
-    "association",
-    "clutter",
-    "consistency",
-    "filters",
-    "map_size",
-    "structures",
-    "victoria_park",
-)
-COMPARED = ("speed", "start")  # comparable with another commit
-IN_UNITS = (
-    "ablation",
-    "association",
-    "association_time",
-    "claims",
-    "clutter",
-    "consistency",
-    "explorers",
-    "features",
-    "filters",
-    "kidnap",
-    "loop",
-    "map_size",
-    "mutated",
-    "noise",
-    "paper_mode",
-    "real",
-    "restore",
-    "returns",
-    "soak",
-    "scale",
-    "sensors",
-    "structures",
-    "uncertainty",
-    "worlds",
-)  # of work, kept and divided
-NAMES = (
-    "speed",
-    "start",
-    "features",
-    "filters",
-    "association",
-    "association_time",
-    "ablation",
-    "clutter",
-    "kidnap",
-    "loop",
-    "map_size",
-    "noise",
-    "explorers",
-    "worlds",
-    "real",
-    "vector",
-    "restore",
-    "mutated",
-    "vector_step",
-    "soak",
-    "scale",
-    "learning",
-    "replay",
-    "stock_ppo",
-    "formats",
-    "uncertainty",
-    "returns",
-    "consistency",
-    "sensors",
-    "victoria_park",
-    "figures",
-    "claims",
-    "paper_mode",
-    "structures",
-)
-HERE_ONLY = (
-    "association_time",
-    "map_size",
-    "real",
-    "scale",
-    "soak",
-)  # times and memory of this machine; maps beside results
-OVER_POLICIES = ("uncertainty", "returns")  # --task, --policies, --buildings
-COLOURS = 128  # of a committed picture: lines and areas need no more
 RECORD = "record"  # makes what others replay, and has no figures
-WITH_RECORDS = (
-    "ablation",
-    "association",
-    "association_time",
-    "claims",
-    "clutter",
-    "consistency",
-    "figures",
-    "kidnap",
-    "loop",
-    "map_size",
-    "noise",
-    "paper_mode",
-    "real",
-    "sensors",
-    "structures",
-    RECORD,
-)  # --records
+KINDS = {  # of each benchmark, what it has beside its figures
+    "ablation": "units records",
+    "association": "units open records",
+    "association_time": "units here records",
+    "claims": "units records",
+    "clutter": "units open records",
+    "consistency": "units open records",
+    "explorers": "units",
+    "features": "units",
+    "figures": "records",
+    "filters": "units open",
+    "formats": "",
+    "kidnap": "units records",
+    "learning": "",
+    "loop": "units records",
+    "map_size": "units here open records",
+    "mutated": "units",
+    "noise": "units records",
+    "paper_mode": "units records",
+    "real": "units here records",
+    "replay": "",
+    "restore": "units",
+    "returns": "units policies",
+    "scale": "units here",
+    "sensors": "units records",
+    "soak": "units here",
+    "speed": "compared",
+    "start": "compared",
+    "stock_ppo": "",
+    "structures": "units open records",
+    "uncertainty": "units policies",
+    "vector": "",
+    "vector_step": "",
+    "victoria_park": "open",
+    "worlds": "units",
+}
+
+
+def those(kind: str) -> tuple[str, ...]:
+    """The benchmarks of a kind."""
+    return tuple(name for name, kinds in KINDS.items() if kind in kinds.split())
+
+
+NAMES = tuple(KINDS)
+OPEN = those("open")  # compare registered parts too
+COMPARED = those("compared")  # comparable with another commit
+IN_UNITS = those("units")  # of work, kept and divided
+HERE_ONLY = those("here")  # times and memory of this machine; maps beside results
+OVER_POLICIES = those("policies")  # --task, --policies, --buildings
+WITH_RECORDS = (*those("records"), RECORD)  # --records
+COLOURS = 128  # of a committed picture: lines and areas need no more
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -234,67 +186,28 @@ def check_places(given: argparse.Namespace) -> None:
 def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
-    made.add_argument("name", choices=(*NAMES, RECORD))
-    made.add_argument("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
-    made.add_argument("--jobs", type=positive, default=1, help="processes at the same time")
-    made.add_argument("--gate", action="store_true", help="compare with the committed baseline, write nothing")
-    made.add_argument("--quick", action="store_true", help="a small sample; written only with --json")
-    made.add_argument(
-        "--sets",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="NAME[:COUNT]",
-        help="of benchmarks with sets (association, loop, scale, ...): only these; written only with --json",
-    )
-    made.add_argument(
-        "--with",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="MODULE",
-        dest="modules",
-        help="of association and filters: modules that register others to compare; written only with --json",
-    )
-    made.add_argument(
-        "--against",
-        metavar="GIT_REF",
-        help="of speed and start: compare the working tree with this commit; written only with --json",
-    )
-    made.add_argument(
-        "--sweeps",
-        type=positive,
-        nargs="+",
-        action="extend",
-        metavar="K",
-        help="of speed --against: sweeps per scan, default 1 and 4",
-    )
-    made.add_argument(
-        "--shard",
-        type=shard,
-        default=WHOLE,
-        metavar="I/N",
-        help="every N-th unit only, from the I-th; then the command without --shard gives the figures",
-    )
-    made.add_argument(
-        "--records",
-        type=Path,
-        metavar="FOLDER",
-        help=f"of {', '.join(WITH_RECORDS)}: the drives that are replayed; missing ones are made there and stay",
-    )
-    made.add_argument(
-        "--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address"
-    )
-    made.add_argument("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
-    made.add_argument(
-        "--policies",
-        nargs="+",
-        action="extend",
-        default=[],
-        metavar="POLICY",
-        help="of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others",
-    )
-    made.add_argument("--buildings", type=positive, default=0, metavar="N", help="of uncertainty: at each point, 50")
+    add, many = made.add_argument, {"nargs": "+", "action": "extend"}
+    add("name", choices=(*NAMES, RECORD))
+    add("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
+    add("--jobs", type=positive, default=1, help="processes at the same time")
+    add("--gate", action="store_true", help="compare with the committed baseline, write nothing")
+    add("--quick", action="store_true", help="a small sample; written only with --json")
+    text = "of benchmarks with sets (association, loop, scale, ...): only these; written only with --json"
+    add("--sets", **many, default=[], metavar="NAME[:COUNT]", help=text)
+    text = "of association and filters: modules that register others to compare; written only with --json"
+    add("--with", **many, default=[], metavar="MODULE", dest="modules", help=text)
+    text = "of speed and start: compare the working tree with this commit; written only with --json"
+    add("--against", metavar="GIT_REF", help=text)
+    add("--sweeps", type=positive, **many, metavar="K", help="of speed --against: sweeps per scan, default 1 and 4")
+    text = "every N-th unit only, from the I-th; then the command without --shard gives the figures"
+    add("--shard", type=shard, default=WHOLE, metavar="I/N", help=text)
+    text = f"of {', '.join(WITH_RECORDS)}: the drives that are replayed; missing ones are made there and stay"
+    add("--records", type=Path, metavar="FOLDER", help=text)
+    add("--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address")
+    add("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
+    text = "of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others"
+    add("--policies", **many, default=[], metavar="POLICY", help=text)
+    add("--buildings", type=positive, default=0, metavar="N", help="of uncertainty: at each point, 50")
     return made
 
 

@@ -19,11 +19,13 @@ from typing import Any, get_args
 import numpy as np
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, in_parallel, table
+from benchmarks.common import Figures, Gate, Options, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.tables import page, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.intervals import estimate
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 
@@ -76,12 +78,7 @@ def is_valid(change: dict[str, Any]) -> bool:
 
 def run(options: Options) -> Figures:
     """The differences of each variant to the default, per cell."""
-    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
-    drives = [
-        (cell, seed)
-        for cell, count in counts.items()
-        for seed in range(FIRST_SEED, FIRST_SEED + (min(QUICK_DRIVES, count) if options.quick else count))
-    ]
+    drives = [(cell, FIRST_SEED + number) for cell, number in runs_of(options, DRIVES, MOST, QUICK_DRIVES)]
     names = [name for name in changes() if not options.quick or not name.endswith(NUMBERS)]
     units = [(cell, seed, name) for cell, seed in drives for name in names]
     task = partial(measure, records=Records(options.records))
@@ -89,7 +86,7 @@ def run(options: Options) -> Figures:
     figures: Figures = {}
     for name in names[1:]:
         figures[name] = {}
-        for cell in counts:
+        for cell in dict(drives):
             pairs = [(rows[c, s, name], rows[c, s, DEFAULT]) for c, s in drives if c == cell]
             figures[name][cell] = {
                 key: estimate([ours[key] - usual[key] for ours, usual in pairs]) for key in pairs[0][1]
@@ -104,7 +101,7 @@ def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
     if cell == "rough":
         return roughly(records, seed, change)
     drive = drive_of(cell, seed, records)
-    counted = noise.counts(replay(drive, with_change(drive.slam, change)))
+    counted = replay(drive, with_change(drive.slam, change)).counts
     seen = max(counted["tp"] + counted["fn"], 1)
     return {
         "recall": counted["tp"] / seen,
@@ -148,11 +145,11 @@ def report(figures: Figures) -> str:
         name for name, cells in figures.items() if all(is_zero(f) for keys in cells.values() for f in keys.values())
     ]
     quiet = sorted({f"`{name}`" for name in figures} - {row[0] for row in rows} - {f"`{name}`" for name in same})
-    parts = [str(__doc__).partition("\n\n")[2].strip(), f"{len(figures)} variants."]
+    parts = [f"{len(figures)} variants."]
     parts.append(table(["variant", "cell", "figure", "minus default"], rows))
     parts.append(f"No difference outside of its interval ({len(quiet)}): {', '.join(quiet) or '-'}.")
     parts.append(f"Same bits ({len(same)}): {', '.join(f'`{name}`' for name in same) or '-'}.")
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)
 
 
 def is_zero(figure: Figures) -> bool:

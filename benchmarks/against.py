@@ -17,8 +17,10 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import peers
-from benchmarks.common import Figures, Options, ratio, table
+from benchmarks.common import Figures, Options
+from benchmarks.tables import table
 from benchmarks.trees import WORKING_TREE, TreeWorker, checkout
+from mecp_env.core.intervals import ratio
 
 ACTIONS = ("random", "breadth_first")
 HERE = "working tree"

@@ -20,36 +20,23 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.common import (
-    Figures,
-    Gate,
-    Options,
-    chosen,
-    estimate,
-    grouped,
-    in_parallel,
-    load_modules,
-    ratio,
-    share,
-    table,
-)
+from benchmarks.columns import columns_of, means, precision_and_recall, ratios
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import table_of
 from benchmarks.variants import DEFAULT, RIVALS, with_change
-from mecp_env.evaluation.metric_arrays import is_lost
+from mecp_env.core.carriers import Bools, Ints
+from mecp_env.core.intervals import estimate, share
 from mecp_env.evaluation.metrics import AssociationLog
+from mecp_env.policies.report_table import cell
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that override those of the drive
     "mecp": {},
@@ -85,27 +72,24 @@ class Pairs:
     step: Ints
     true: Ints  # true corner, -1 for none
     claimed: Ints  # true corner of the matched landmark, -1 for none or no match
-    matched: NDArray[np.bool_]
+    matched: Bools
 
     @property
-    def wrong(self) -> NDArray[np.bool_]:
+    def wrong(self) -> Bools:
         return self.matched & ((self.true < 0) | (self.claimed != self.true))
 
 
 def run(options: Options) -> Figures:
     """Results of every layout and associator."""
     load_modules(options.modules)
-    rows, seeds = methods(), chosen(options.sets, SEEDS, MOST) or SEEDS
-    drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
-    task = partial(compare, records=Records(options.records))
-    runs = in_parallel(task, dict[str, Figures], drives, options)
+    rows, drives = methods(), runs_of(options, SEEDS, MOST, 2)
     return {
         layout: {
             name: summarise([run[name] for run in of_layout])
             | differences([(run[name], run[DEFAULT]) for run in of_layout])
             for name in rows
         }
-        for layout, of_layout in grouped(drives, runs).items()
+        for layout, of_layout in on_records(compare, dict[str, Figures], drives, options).items()
     }
 
 
@@ -132,17 +116,12 @@ def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str
 
 def counts(drive: Drive, outcome: Replay) -> Figures:
     """Counts of one drive."""
-    tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
     pairs = all_pairs(outcome.log)
     rooms = rooms_of(drive)[: len(outcome.error_m)]
     events = closures(drive, outcome.log, pairs, rooms)
     after_door = np.isin(pairs.step, [p + k for p in np.flatnonzero(np.diff(rooms)) + 2 for k in range(WITHIN_SCANS)])
-    return {
-        "tp": tp,
-        "fp": fp,
-        "fn": fn,
+    return outcome.counts | {
         "corners": len(pairs.true),
-        "duplicates": outcome.duplicates,
         "mapped": len(np.unique(pairs.claimed[pairs.claimed >= 0])),
         "events": len(events),
         "closed": sum(right >= 2 and wrong == 0 for right, wrong in events),
@@ -150,15 +129,8 @@ def counts(drive: Drive, outcome: Replay) -> Figures:
         "after_door": int(after_door.sum()),
         "after_door_wrong": int((after_door & pairs.wrong).sum()),
         "swapped": swapped(drive, pairs),
-        "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
         "final_m": float(outcome.error_m[-1]),
-        "nees": float(outcome.nees.mean()),
-        "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
-        "map_rmse_m": outcome.map_rmse_m,
-        "landmark_nees": outcome.landmark_nees,
-        "pair_nees": outcome.pair_nees,
         "periods": len(outcome.error_m),
-        "associate_ms": outcome.associate_ms,
     }
 
 
@@ -211,27 +183,17 @@ def swapped(drive: Drive, pairs: Pairs) -> int:
 
 def summarise(runs: list[Figures]) -> Figures:
     """Results of all seeds, each with its 95 % interval."""
-    table = {name: np.array([float(r[name]) for r in runs]) for name in runs[0]}
-    per_thousand = table["corners"] / 1000.0
+    table = columns_of(runs)
+    table["thousands"] = table["corners"] / 1000.0
     return {
-        "precision": ratio(table["tp"], table["tp"] + table["fp"]),
-        "recall": ratio(table["tp"], table["tp"] + table["fn"]),
-        "wrong_per_1000": ratio(table["fp"], per_thousand),
-        "duplicates_per_corner": ratio(table["duplicates"], table["mapped"]),
-        "closure_recall": ratio(table["closed"], table["events"]),
-        "false_closures": ratio(table["false_closures"], table["events"]),
+        **precision_and_recall(table),
+        **ratios(table, wrong_per_1000="fp/thousands", duplicates_per_corner="duplicates/mapped"),
+        **ratios(table, closure_recall="closed/events", false_closures="false_closures/events"),
         "events": int(table["events"].sum()),
-        "after_door_wrong": ratio(table["after_door_wrong"], table["after_door"]),
-        "swapped_per_1000": ratio(table["swapped"], per_thousand),
-        "rmse_m": estimate(table["rmse_m"]),
-        "final_m": estimate(table["final_m"]),
-        "nees": estimate(table["nees"]),
+        **ratios(table, after_door_wrong="after_door_wrong/after_door", swapped_per_1000="swapped/thousands"),
+        **means(table, "rmse_m", "final_m", "nees"),
         "lost": share(table["lost"] > 0),
-        "map_rmse_m": estimate(table["map_rmse_m"]),
-        "landmark_nees": estimate(table["landmark_nees"]),
-        "pair_nees": estimate(table["pair_nees"]),
-        "periods": estimate(table["periods"]),
-        "associate_ms": estimate(table["associate_ms"]),
+        **means(table, "map_rmse_m", "landmark_nees", "pair_nees", "periods", "associate_ms"),
     }
 
 
@@ -254,23 +216,15 @@ def report(figures: Figures) -> str:
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
     columns += ("pair_nees", "lost", "associate_ms")
-    lines = []
+    parts = []
     for layout, methods in figures.items():
-        lines += [f"## {layout} ({methods['mecp']['precision']['n']} seeds)", ""]
-        lines += ["| associator | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-        for method, row in methods.items():
-            lines.append(f"| {method} | " + " | ".join(cell(row[c]) for c in columns) + " |")
-        lines += ["", "Mean difference to `mecp` on the same drives:", ""]
-        paired = [name for name in row if name.endswith("_minus_mecp")]
-        lines.append(
-            table(["associator", *paired], [[name, *(row[c] for c in paired)] for name, row in methods.items()])
-        )
-        lines.append("")
-    return "\n".join(lines)
+        paired = [name for name in methods["mecp"] if name.endswith("_minus_mecp")]
+        parts += [f"## {layout} ({methods['mecp']['precision']['n']} seeds)", shown(columns, methods)]
+        parts += ["Mean difference to `mecp` on the same drives:", table_of("associator", paired, methods)]
+    return "\n\n".join(parts) + "\n"
 
 
-def cell(figure: Figures) -> str:
-    """value [low, high]."""
-    if figure["value"] is None:
-        return "-"
-    return f"{figure['value']:.4g} [{figure['low']:.4g}, {figure['high']:.4g}]"
+def shown(columns: Sequence[str], methods: dict[str, Figures]) -> str:
+    """The table of all associators, with four digits of large numbers, too."""
+    cells = {name: {column: cell(row[column], ".4g", 1.0) for column in columns} for name, row in methods.items()}
+    return table_of("associator", columns, cells)

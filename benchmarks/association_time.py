@@ -21,13 +21,15 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, best_of, chosen, grouped, in_parallel, ratio, table
+from benchmarks.common import Figures, Gate, Options, best_of, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
-from benchmarks.records import IN_MEMORY, Records
+from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.tables import page, table
 from benchmarks.variants import DEFAULT, RIVALS
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.intervals import ratio
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
@@ -35,9 +37,6 @@ from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 CORNERS, SPURIOUS = 20, 4
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -68,15 +67,9 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every set, sigma and associator."""
-    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
     scans = QUICK_SCANS if options.quick else SCANS
-    drives = [
-        (layout, scans, seed)
-        for layout in counts
-        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
-    ]
-    task = partial(compare, records=Records(options.records))
-    results = grouped(drives, in_parallel(task, dict[str, dict[str, list[float]]], drives, options))
+    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)]
+    results = on_records(compare, dict[str, dict[str, list[float]]], drives, options)
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
@@ -139,7 +132,7 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
     return Corners(z[order], cov, *marks, doorways), np.where(spurious, -1, source)
 
 
-def independent(cov: Array, alone: NDArray[np.bool_]) -> Array:
+def independent(cov: Array, alone: Bools) -> Array:
     """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
     correlated = np.repeat(~alone, 2)
     own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
@@ -198,9 +191,9 @@ def figures_of(drives: list[dict[str, dict[str, list[float]]]], sigma: str, name
 def report(figures: Figures) -> str:
     """Per set a table with a row for each sigma and associator."""
     columns = ["ms", "ratio", "ratio_with_polygons", "ratio_same_corners", "right", "wrong", "polygon", "budget_spent"]
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for layout, cells in figures.items():
         scans = next(iter(cells.values()))[DEFAULT]["scans"]
         rows = [[sigma, name, *(row[c] for c in columns)] for sigma, of in cells.items() for name, row in of.items()]
         parts.append(f"## {layout} ({scans} scans per row)\n\n{table(['pose', 'associator', *columns], rows)}")
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)

@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks import association, loop
 from benchmarks.common import Figures
@@ -17,6 +16,7 @@ from benchmarks.features import SEED, key_of, threshold
 from benchmarks.polygon_centres import in_the_map, in_the_scan
 from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import with_change
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.map_scores import covers
 from mecp_env.slam.config import PolygonConfig, SlamConfig
@@ -25,8 +25,6 @@ from mecp_env.slam.mecp.dobkin import rings_around
 from mecp_env.slam.messages import Corners, Polygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-
-Array = NDArray[np.float64]
 
 METHODS: dict[str, dict[str, Any]] = {  # some of the benchmark `association`
     name: association.methods()[name]
@@ -82,8 +80,7 @@ def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
         dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw", "searched", "lost", "none"), 0),
     )
     shares = []
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    for output, T_world_robot in drive.outputs(pipeline):
         if output.polygons and len(output.polygons[0].corners) >= MATCHABLE:
             sums["found"] += 1
             sums["unique"] += len(output.polygons) == 1
@@ -121,7 +118,7 @@ def of_kernel(corners: Corners) -> dict[str, int]:
 
 def lines_of_sight(
     drive: Drive, output: SlamOutput, polygons: tuple[Polygon, ...], T_world_robot: Array, rng: np.random.Generator
-) -> NDArray[np.bool_]:
+) -> Bools:
     """Whether true walls leave the line free from each of a few points in the first polygon to each of its vertices.
 
     Only vertices that are true corners count, at their true places.

@@ -17,11 +17,14 @@ import numpy as np
 from benchmarks import association, claim_units
 from benchmarks.association import LETTER, differences, summarise
 from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure
-from benchmarks.common import Figures, Gate, Options, estimate, flatten, in_parallel, ratio, readable, table
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, in_parallel
 from benchmarks.features import key_of
 from benchmarks.loop import figures_of, named
 from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
 from benchmarks.records import Records
+from benchmarks.tables import flatten, page, readable, table
+from mecp_env.core.intervals import estimate, ratio
 from mecp_env.world.layout import shipped_layouts
 
 DRIVES = {"paper": 12, "furnished": 6}
@@ -247,17 +250,14 @@ def precisions(runs: list[dict[str, Figures]]) -> Figures:
 
 def of_polygons(runs: list[Figures]) -> Figures:
     """What polygons are like."""
-    of = {name: [run[name] for run in runs] for name in runs[0]}
+    of = columns_of(runs)
     return {
-        "kernel_rule": {"lost": ratio(of["lost"], of["searched"]), "none": ratio(of["none"], of["searched"])},
+        "kernel_rule": ratios(of, lost="lost/searched", none="none/searched"),
         "variance": {"in_a_scan": estimate(of["share_in_scan"]), "in_the_map": estimate(of["share_in_map"])},
         "polygons": {
-            "visible": ratio(of["free"], of["lines"]),
-            "visible_without_check": ratio(of["free_raw"], of["lines_raw"]),
-            "unique": ratio(of["unique"], of["found"]),
-            "cover": estimate(of["cover"]),
-            "grid_cover": estimate(of["grid_cover"]),
-            "rooms_with_polygon": ratio(of["rooms_with_polygon"], of["rooms"]),
+            **ratios(of, visible="free/lines", visible_without_check="free_raw/lines_raw", unique="unique/found"),
+            **means(of, "cover", "grid_cover"),
+            **ratios(of, rooms_with_polygon="rooms_with_polygon/rooms"),
         },
     }
 
@@ -342,11 +342,5 @@ def report(figures: Figures) -> str:
             [sentence, claim.experiment, flat[claim.figure], bound, f"**{claim.holds(figures)}**", "; ".join(beside)]
         )
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
-    return "\n\n".join(
-        [
-            str(__doc__).partition("\n\n")[2].strip(),
-            table(header, rows),
-            "## All figures",
-            table(["figure", "value [95 % interval]"], flat.items()),
-        ]
-    )
+    every = table(["figure", "value [95 % interval]"], flat.items())
+    return page(__doc__, table(header, rows), "## All figures", every)

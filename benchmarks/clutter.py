@@ -22,10 +22,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, load_modules, table
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import replay
 from benchmarks.plots import Panel, draw_bands
-from benchmarks.records import IN_MEMORY, Records
+from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.tables import page, table
 from benchmarks.variants import associators, with_change
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
@@ -54,17 +55,15 @@ GATES = (
 def run(options: Options) -> Figures:
     """Results of every layout, cell and associator."""
     load_modules(options.modules)
-    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
     drives = [
         (layout, detection, spurious, seed)
-        for layout, count in counts.items()
-        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
+        for layout, seed in runs_of(options, DRIVES, MOST, QUICK_DRIVES)
         for detection, spurious in CELLS
     ]
-    task = partial(compare, records=Records(options.records))
-    figures: Figures = {layout: {} for layout in counts}
-    for (layout, *cell), runs in grouped(drives, in_parallel(task, dict[str, Figures], drives, options)).items():
-        figures[layout][named(*cell)] = {name: noise.summarise([one[name] for one in runs]) for name in runs[0]}
+    figures: Figures = {}
+    for (layout, *cell), runs in on_records(compare, dict[str, Figures], drives, options).items():
+        of_cell = figures.setdefault(layout, {}).setdefault(named(*cell), {})
+        of_cell |= {name: noise.summarise([one[name] for one in runs]) for name in runs[0]}
     return figures
 
 
@@ -79,7 +78,7 @@ def compare(task: tuple[str, float, int, int], records: Records = IN_MEMORY) -> 
     drive = records.drive(course(layout, seed))
     made = partial(ClutteredPipeline, chances=(detection, spurious / 100.0), seed=seed)
     return {
-        name: noise.counts(replay(drive, with_change(drive.slam, change), estimator=made))
+        name: replay(drive, with_change(drive.slam, change), estimator=made).counts
         for name, change in associators().items()
     }
 
@@ -156,7 +155,7 @@ def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, p
 
 def report(figures: Figures) -> str:
     """Per layout a table of each metric, with a row per associator and a column per cell."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for layout, cells in figures.items():
         methods = next(iter(cells.values()))
         parts.append(f"## {layout} ({methods['mecp']['rmse_m']['n']} drives)")
@@ -164,7 +163,7 @@ def report(figures: Figures) -> str:
             rows = [[name, *(cells[cell][name][metric] for cell in cells)] for name in methods]
             columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
             parts.append(table([f"`{metric}`: detection, spurious", *columns], rows))
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -23,12 +23,12 @@ from typing import Any, Literal, TypeVar
 import numba
 import numpy as np
 
+from benchmarks.tables import flatten, readable, table
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, estimate, ratio, share
 from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies, import_modules
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
-from mecp_env.policies.report_table import markdown_table
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])
 
@@ -80,6 +80,13 @@ def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict
             raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {most}")
         counts[name] = int(count or there_are[name])
     return counts
+
+
+def runs_of(options: Options, counts: Mapping[str, int], most: int, quick: int) -> list[tuple[str, int]]:
+    """Set and number of each run: of the sets on the command line or all; with --quick, the first `quick` of each."""
+    asked = chosen(options.sets, counts, most) or counts
+    most = quick if options.quick else most
+    return [(name, number) for name, count in asked.items() for number in range(min(count, most))]
 
 
 def shared_data(kind: str) -> Path | None:
@@ -151,6 +158,21 @@ def grouped(units: Sequence[tuple[Any, ...]], results: Sequence[Any]) -> dict[An
     return groups
 
 
+def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> list[dict[Any, Any]]:
+    """The results of all calls by name in each round, in which another one is first each time."""
+    names = list(calls)
+    turns = (names[k % len(names) :] + names[: k % len(names)] for k in range(rounds))
+    return [{name: calls[name]() for name in turn} for turn in turns]
+
+
+def steps_per_s(step: Callable[[], int], seconds: float) -> float:
+    """Control steps per second of calls that return their number, over at least this time."""
+    start, steps = time.perf_counter(), 0
+    while time.perf_counter() < start + seconds:
+        steps += step()
+    return steps / (time.perf_counter() - start)
+
+
 def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
     """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
     call()
@@ -210,32 +232,6 @@ def result(name: str, figures: Figures, calibration: float) -> Figures:
         "calibration_ms": calibration,
         "figures": figures,
     }
-
-
-def flatten(figures: Any, path: str = "") -> dict[str, Any]:
-    """Path -> figure (a number, a text or an estimate)."""
-    if not isinstance(figures, dict) or {"value", "low", "high"} <= figures.keys():
-        return {path: figures}
-    flat: dict[str, Any] = {}
-    for name, inner in figures.items():
-        flat |= flatten(inner, f"{path}/{name}" if path else str(name))
-    return flat
-
-
-def table(header: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A Markdown table with formatted numbers and estimates."""
-    return markdown_table(header, [[readable(cell) for cell in row] for row in rows])
-
-
-def readable(figure: object) -> str:
-    """A figure as text: an estimate as `value [low, high]`."""
-    if isinstance(figure, dict):
-        if figure["value"] is None:
-            return "none"
-        return f"{readable(figure['value'])} [{readable(figure['low'])}, {readable(figure['high'])}]"
-    if isinstance(figure, float):
-        return f"{figure:,.0f}" if abs(figure) >= 1000.0 else f"{figure:.4g}"
-    return str(figure)
 
 
 def markdown(content: Figures, report: str | None) -> str:

@@ -17,7 +17,6 @@ on the same drives.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -27,23 +26,14 @@ from scipy.stats import chi2
 
 from benchmarks import loop
 from benchmarks.batch import FLOOR, Motion, Optimum, Record, Sighting, filtered, in_order, optimum
-from benchmarks.common import (
-    Figures,
-    Gate,
-    Options,
-    chosen,
-    estimate,
-    grouped,
-    in_parallel,
-    load_modules,
-    ratio,
-    table,
-)
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive
-from benchmarks.map_consistency import mean_nees
+from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
 from benchmarks.plots import DASHES, GREYS
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table_of
 from mecp_env.core.carriers import Array
+from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
@@ -77,15 +67,9 @@ GATES = (
 def run(options: Options) -> Figures:
     """Results of every model and filter. Raises `OptionError` without GTSAM."""
     load_modules(options.modules)
-    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
-    drives = [
-        (model, seed)
-        for model, count in counts.items()
-        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
-    ]
+    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
     drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each model
-    task = partial(compare, records=Records(options.records))
-    runs = grouped(drives, in_parallel(task, dict[str, Figures], drives, options))
+    runs = on_records(compare, dict[str, Figures], drives, options)
     return {model: {name: summarise(of_model, name) for name in of_model[0]} for model, of_model in runs.items()}
 
 
@@ -110,7 +94,7 @@ def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Fi
             best = optimum(record, poses, beliefs[-1].ids, beliefs[-1].p_map)
             counts[BATCH] = of_batch(best, path, corners[best.ids])
         counts[name] = of_filter(beliefs, in_order(found), path, corners[best.ids])
-        counts[name]["sigma_over_batch"] = sigma_ratio(in_order(found)[1], best)
+        counts[name]["sigma_over_batch"] = sigma_ratio(in_order(found)[1], best.covs)
     return counts
 
 
@@ -172,8 +156,7 @@ def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sight
     errors = corners.z[row] - np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
     errors[:, 1] = wrapped(errors[:, 1])
     blocks = np.array([corners.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in row]).reshape(-1, 2, 2)
-    nis = np.einsum("ki,ki->k", errors, np.linalg.solve(blocks, errors[:, :, None])[:, :, 0])
-    row = row[nis < OUTLIER_2]
+    row = row[nees(errors, blocks) < OUTLIER_2]
     return Sighting(*corners.measurements(row), true[row])
 
 
@@ -182,11 +165,11 @@ def of_filter(beliefs: list[Belief], landmarks: tuple[Array, Array], path: Array
     errors = np.array([belief.T_map_robot for belief in beliefs]) - path
     errors[:, 2] = [wrap_angle(error) for error in errors[:, 2].tolist()]
     covs = np.array([belief.pose_cov for belief in beliefs])
-    nees = np.einsum("ki,ki->k", errors, np.linalg.solve(covs, errors[:, :, None])[:, :, 0])
-    moments = np.linspace(0, len(nees) - 1, MOMENTS + 1).round().astype(int)[1:]
+    over_time = nees(errors, covs)
+    moments = np.linspace(0, len(over_time) - 1, MOMENTS + 1).round().astype(int)[1:]
     return {
-        "nees": float(nees.mean()),
-        "nees_over_time": nees[moments].tolist(),
+        "nees": float(over_time.mean()),
+        "nees_over_time": over_time[moments].tolist(),
         "rmse_m": rms(errors[:, :2]),
         **of_landmarks(*landmarks, corners),
     }
@@ -204,17 +187,6 @@ def of_batch(best: Optimum, path: Array, corners: Array) -> Figures:
 def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
     """NEES and error of landmarks (m,2) with covariances (m,2,2)."""
     return {"landmark_nees": mean_nees(p_map - corners, covs), "landmark_rms_m": rms(p_map - corners)}
-
-
-def sigma_ratio(covs: Array, best: Optimum) -> float:
-    """Median ratio of a landmark's sigma to that of the batch optimum."""
-    sigmas, best_sigmas = (np.sqrt(np.trace(some, axis1=1, axis2=2)) for some in (covs, best.covs))
-    return float(np.median(sigmas / best_sigmas))
-
-
-def rms(errors: Array) -> float:
-    """Root mean square of the lengths of errors (n,2)."""
-    return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
 def summarise(runs: list[dict[str, Figures]], name: str) -> Figures:
@@ -243,15 +215,14 @@ def report(figures: Figures) -> str:
     """Per model a table with one row per filter."""
     columns = ["nees", "landmark_nees", "landmark_rms_m", "over_batch", "sigma_over_batch", "rmse_m"]
     columns += [f"{name}_minus_{BASE}" for name in ("nees", "landmark_nees", "landmark_rms_m")]
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for model, rows in figures.items():
         n = rows[BASE]["nees"]["n"]
         low, high = band(n)
         head = f"## {model} ({n} drives)\n\nThe mean of {n} NEES of a pose is in [{low:.2f}, {high:.2f}] in 95 %."
         said = f" `batch`: chi2 per degree of freedom {rows[BATCH]['chi2_over_freedom']['value']:.3f}."
-        body = [[name, *(row.get(column, "-") for column in columns)] for name, row in rows.items()]
-        parts.append(f"{head}{said}\n\n{table(['filter', *columns], body)}")
-    return "\n\n".join(parts)
+        parts.append(f"{head}{said}\n\n{table_of('filter', columns, rows)}")
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle
 from mecp_env.core.sensors import Scan
 from mecp_env.slam.config import SensorModel, SlamConfig
@@ -22,9 +22,6 @@ from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 NEAR_M, SIGNATURE_RAD = 0.25, math.radians(40.0)
 FACE_M, SEEN_M, SEEN_BEAMS = 0.35, 0.3, 5

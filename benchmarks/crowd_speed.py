@@ -14,10 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, estimate, table
+from benchmarks.common import Figures
+from benchmarks.drives import drive_at_random, exploration
+from benchmarks.tables import table
 from mecp_env.cli.stopwatch import Stopwatch, timed_stages
+from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
-from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout
@@ -38,7 +40,7 @@ MAX_STEPS = 3000
 
 def measure(turns: int) -> Figures:
     """For random actions and the explorer: us per step in each setting, and its ratio to the empty layout."""
-    return {name: compared(drive, turns) for name, drive in (("random", drive_at_random), ("bfs", explore))}
+    return {name: compared(drive, turns) for name, drive in (("random", random_drive), ("bfs", explore))}
 
 
 def compared(drive: Callable[[MecpEnv, int], None], turns: int) -> Figures:
@@ -101,22 +103,12 @@ def report(measured: Figures) -> str:
     return table(["actions", "where", "us", "with planner and controller, us", "ratio", "ratio with both"], rows)
 
 
-def drive_at_random(env: MecpEnv, seed: int) -> None:
-    """Random velocities, each held for ten steps."""
-    rng = np.random.default_rng(seed)
-    env.reset(seed=seed)
-    for step in range(RANDOM_STEPS):
-        if step % 10 == 0:
-            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset(seed=step)
+def random_drive(env: MecpEnv, seed: int) -> None:
+    """Random velocities for some steps."""
+    drive_at_random(env, RANDOM_STEPS, seed)
 
 
 def explore(env: MecpEnv, seed: int) -> None:
     """One whole exploration."""
-    policy, goals = BreadthFirst(), GoalActions(env)
-    observation, _ = goals.reset(seed=seed)
-    terminated = truncated = False
-    while not (terminated or truncated):
-        observation, _, terminated, truncated, _ = goals.step(policy.act(observation, goals.action_masks()))
+    for _ in exploration(GoalActions(env), seed):
+        pass

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.errors import nees as nees_of
 from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
+from mecp_env.evaluation.metric_arrays import is_lost
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.association import OracleAssociator, make_associator
@@ -27,9 +29,6 @@ from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion
 from mecp_env.wrappers import GoalActions
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 FAR_SHARE = 0.93  # of the laser's range; walls end there that go on
 
@@ -43,6 +42,11 @@ class Drive:
     odometry: list[Odometry | None]
     scans: list[Scan]
     T_world_robot: list[Array]  # true poses
+
+    def outputs(self, pipeline: SlamPipeline) -> Iterator[tuple[SlamOutput, Array]]:
+        """The output of an estimator at each scan, and the true pose (3,) there."""
+        for odometry, scan, T_world_robot in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
+            yield pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan), T_world_robot
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -64,6 +68,21 @@ class Replay:
     far: int  # corners beyond 93 % of the laser's range
     phantoms: int  # those of them that do not exist
     polygon_share: float  # of the scans, with a polygon
+
+    @property
+    def counts(self) -> dict[str, Any]:
+        """The figures of the whole drive."""
+        tp, fp, fn, _ = (int(n) for n in self.log.final_counts())
+        plain = ("map_rmse_m", "landmarks_false", "duplicates", "far", "phantoms", "associate_ms", "polygon_share")
+        return {
+            "tp": tp,
+            "fp": fp,
+            "fn": fn,
+            "rmse_m": float(np.sqrt((self.error_m**2).mean())),
+            "nees": float(self.nees.mean()),
+            "lost": is_lost(self.error_m, self.error_rad, self.diverged),
+            **{name: getattr(self, name) for name in (*plain, "landmark_nees", "pair_nees")},
+        }
 
 
 @dataclass(slots=True, eq=False)
@@ -110,17 +129,35 @@ class RecordingEnv(MecpEnv):
         return odometry, scan
 
 
+def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], bool]]:
+    """Explore breadth first from a start given by the seed: the info after each goal, and whether it terminated."""
+    policy, over = BreadthFirst(), False
+    observation, _ = env.reset(seed=seed)
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
+        over = terminated or truncated
+        yield info, terminated
+
+
+def drive_at_random(env: MecpEnv, steps: int, seed: int = 0) -> None:
+    """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
+    rng = np.random.default_rng(seed)
+    for step in range(steps):
+        if step % 1000 == 0:
+            env.reset(seed=seed + step)
+        if step % 10 == 0:
+            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
+        _, _, terminated, truncated, _ = env.step(action)
+        if terminated or truncated:
+            env.reset(seed=seed + step)
+
+
 def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:
     """A breadth-first exploration of `layout` with the estimated map, from a start given by the seed."""
     inner = RecordingEnv(layout=layout, start="random", **keywords)
     env = GoalActions(inner)
-    policy = BreadthFirst()
-    policy.reset()
-    observation, _ = env.reset(seed=seed)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
-        over = terminated or truncated
+    for _ in exploration(env, seed):
+        pass
     return inner.drive
 
 
@@ -150,19 +187,13 @@ def replay(
         covs.append(output.belief.pose_cov)
         if output.diverged:
             break
-    nees, position_nees = (normalised(np.array(errors), np.array(covs), size) for size in (3, 2))
+    nees, position_nees = (nees_of(np.array(errors)[:, :size], np.array(covs)[:, :size, :size]) for size in (3, 2))
     x, y, heading = np.array(errors).T
     duplicates = log.duplicates(output.belief.ids)
     metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
     of_map = metrics.map_error(drive.truth, output.belief) + map_nees(drive.truth, log, pipeline.filter, T_map_world)
     scores = log, np.hypot(x, y), heading, nees, position_nees, duplicates, *of_map, output.diverged
     return Replay(*scores, associator.median_ms, *far.tolist(), float(np.mean(polygons)))
-
-
-def normalised(errors: Array, covs: Array, size: int) -> Array:
-    """(n,) e^T P^-1 e of the first `size` numbers of errors (n,m) with covariances (n,m,m)."""
-    e = errors[:, :size]
-    return np.asarray((e * np.linalg.solve(covs[:, :size, :size], e[:, :, None])[:, :, 0]).sum(axis=1))
 
 
 def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:

@@ -14,7 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, ratio, share, table
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, grouped, in_parallel
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate, share
 from mecp_env.policies.registry import make_policy
 from mecp_env.registration import make
 from mecp_env.wrappers import GoalActions
@@ -94,29 +97,18 @@ def summarise(episodes: list[Episode]) -> Figures:
     """Results of one explorer on one layout, each with its 95 % interval."""
     finals = [episode.final for episode in episodes]
 
-    def of(name: str) -> list[float]:
-        return [final[name] for final in finals]
-
+    of = columns_of(finals)
+    of |= {"nees": of["nees_mean"], "contacts_100": 100.0 * of["contacts"]}
     figures: Figures = {
         "complete": share(is_complete(final) for final in finals),
-        "lost": share(of("lost")),
-        "coverage": estimate(of("coverage")),
-        "rooms_found": ratio(of("rooms_found"), of("rooms")),
-        "rooms_false": estimate(of("rooms_false")),
-        "doors_found": ratio(of("doors_found"), of("doors")),
-        "doors_false": estimate(of("doors_false")),
-        "door_error_m": estimate(of("door_error_m")),
-        "polygon_cover": estimate(of("polygon_cover")),
-        "grid_cover": estimate(of("grid_cover")),
-        "grid_iou": estimate(of("grid_iou")),
-        "periods": estimate(of("periods")),
-        "metres": estimate(of("metres")),
-        "contacts_per_100_m": ratio([100.0 * n for n in of("contacts")], of("metres")),
-        "pose_rmse_m": estimate(of("pose_rmse_m")),
-        "nees": estimate(of("nees_mean")),
-        "map_rmse_m": estimate(of("map_rmse_m")),
-        "landmarks_false": estimate(of("landmarks_false")),
-        "duplicates": estimate(of("duplicates")),
+        "lost": share(of["lost"]),
+        **means(of, "coverage"),
+        **ratios(of, rooms_found="rooms_found/rooms"),
+        **means(of, "rooms_false"),
+        **ratios(of, doors_found="doors_found/doors"),
+        **means(of, "doors_false", "door_error_m", "polygon_cover", "grid_cover", "grid_iou", "periods", "metres"),
+        **ratios(of, contacts_per_100_m="contacts_100/metres"),
+        **means(of, "pose_rmse_m", "nees", "map_rmse_m", "landmarks_false", "duplicates"),
     }
     for level in LEVELS:
         figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.steps[level]) for episode in episodes)

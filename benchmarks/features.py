@@ -13,16 +13,15 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio, readable, table
+from benchmarks.common import Figures, Gate, Options, in_parallel
 from benchmarks.corner_scores import Score, make_places, score_places
+from benchmarks.tables import readable, table, table_of
+from mecp_env.core.carriers import Array, Bools
+from mecp_env.core.intervals import estimate, ratio
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind
 from mecp_env.world.layout import shipped_layouts
-
-Array = NDArray[np.float64]
-Bools = NDArray[np.bool_]
 
 SEED = 1  # not the seed used for tuning
 PRESETS = tuple((preset, sweeps) for preset in ("paper", "lms200", "ideal") for sweeps in (4, 1))
@@ -137,7 +136,7 @@ def report(figures: Figures) -> str:
         f"{figures['poses']} random poses in {', '.join(figures['layouts'])}; 95 % intervals over poses.",
         "## Corners and doors\n\n"
         "`recall` counts detectable corners, `recall_rest` all others in line of sight (posts of doors among them).\n\n"
-        + table(["preset", *names], [[key, *(preset[name] for name in names)] for key, preset in presets.items()]),
+        + table_of("preset", names, presets),
         "## Calibration: mean NIS by kind and range (2 expected)\n\n"
         + "\n\n".join(f"{key}\n\n{calibration(preset)}" for key, preset in presets.items()),
         "## Layouts, paper K=4\n\n" + rate_table(figures["layouts"]),
@@ -159,5 +158,4 @@ def calibration(preset: Figures) -> str:
 
 def rate_table(rows: dict[str, Figures]) -> str:
     """Precision, recall and NIS per row."""
-    names = ("corners", "precision", "recall", "recall_rest", "NIS")
-    return table(["", *names], [[key, *(row[name] for name in names)] for key, row in rows.items()])
+    return table_of("", ("corners", "precision", "recall", "recall_rest", "NIS"), rows)

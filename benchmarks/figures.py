@@ -15,22 +15,20 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 from benchmarks import paper_plots
-from benchmarks.common import Figures, Gate, Options, table
+from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import Drive
 from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
+from benchmarks.tables import page, table
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.render import shapes
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 LAYOUT, SEED = "paper", 0
 FIRST_SCANS = 120  # figures 2 and 3 are of one of these
@@ -97,9 +95,9 @@ def gather(records: Path | None) -> Shown:
     drive = Records(records).drive(Course(LAYOUT, SEED))
     pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
     outputs = []
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        outputs.append(pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan))
-        log.record(outputs[-1], drive.truth.identify(outputs[-1].corners, T_world_robot))
+    for output, T_world_robot in drive.outputs(pipeline):
+        outputs.append(output)
+        log.record(output, drive.truth.identify(output.corners, T_world_robot))
     chosen = max(range(FIRST_SCANS), key=lambda step: length_of(sparse_stretches(drive, step)))
     early = next(k for k, output in enumerate(outputs) if len(output.graph.rooms) > FIRST_ROOMS) - 1
     recognised, centres = recognised_polygon(outputs, pipeline)
@@ -197,7 +195,7 @@ def errors_of(shown: Shown) -> Figures:
 
 def report(figures: Figures) -> str:
     """The pictures, each with its numbers."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for name, numbers in figures.items():
         rows = (
             numbers.items()
@@ -208,4 +206,4 @@ def report(figures: Figures) -> str:
         parts.append(
             f"{title}\n\n![{paper_plots.TITLES[name]}](figures/{name}.png)\n\n{table(['figure', 'value'], rows)}"
         )
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)

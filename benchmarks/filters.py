@@ -10,15 +10,15 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
+from benchmarks.tables import table
+from mecp_env.core.carriers import Array
+from mecp_env.core.intervals import estimate
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FILTERS, make_filter
-
-Array = NDArray[np.float64]
 
 LANDMARKS = (25, 50, 100, 200)
 CORNERS = 12  # per scan
@@ -101,14 +101,16 @@ def sensor_cov(count: int) -> Array:
 
 def report(figures: Figures) -> str:
     """Tables of the times and of the consistency."""
-    lines = ["| us, landmarks | " + " | ".join(figures["time_us"]["riekf"]["25"]) + " |"]
-    lines.append("|---" * (lines[0].count("|") - 1) + "|")
-    for kind, sizes in figures["time_us"].items():
-        for count, times in sizes.items():
-            lines.append(f"| {kind}, {count} | " + " | ".join(f"{us:.1f}" for us in times.values()) + " |")
+    first = figures["time_us"]["riekf"]["25"]
+    times = [
+        [f"{kind}, {count}", *(f"{us:.1f}" for us in of.values())]
+        for kind, sizes in figures["time_us"].items()
+        for count, of in sizes.items()
+    ]
     columns = list(figures["nees"]["per_metre"]["riekf"])
-    lines += ["", "| NEES (3 expected) | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|"]
-    for reading, kinds in figures["nees"].items():
-        for kind, row in kinds.items():
-            lines.append(f"| {reading}, {kind} | " + " | ".join(f"{row[c]['value']:.2f}" for c in columns) + " |")
-    return "\n".join(lines)
+    nees = [
+        [f"{reading}, {kind}", *(f"{row[c]['value']:.2f}" for c in columns)]
+        for reading, kinds in figures["nees"].items()
+        for kind, row in kinds.items()
+    ]
+    return f"{table(['us, landmarks', *first], times)}\n\n{table(['NEES (3 expected)', *columns], nees)}"

@@ -19,7 +19,9 @@ import gymnasium
 import numpy as np
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options, estimate, share, table
+from benchmarks.common import Figures, Gate, Options
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate, share
 from mecp_env.env import MecpEnv
 from mecp_env.episode.observation_arrays import GOALS
 

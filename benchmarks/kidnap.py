@@ -21,22 +21,21 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
+from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table, table_of
 from benchmarks.variants import RIVALS, with_change
+from mecp_env.core.carriers import Array
+from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.pipeline import SlamPipeline
-
-Array = NDArray[np.float64]
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
@@ -71,16 +70,13 @@ class Event:
 
 def run(options: Options) -> Figures:
     """Results of every layout and kind of event."""
-    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
     events = QUICK_EVENTS if options.quick else EVENTS
     drives = [
         (f"{layout} {method}".strip(), events, seed)
-        for layout in counts
+        for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)
         for method in METHODS
-        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
     ]
-    task = partial(disturb, records=Records(options.records))
-    results = grouped(drives, in_parallel(task, Figures, drives, options))
+    results = on_records(disturb, Figures, drives, options)
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
@@ -218,6 +214,5 @@ def report(figures: Figures) -> str:
     columns = [*SHARES, "wrong_poses", "events"]
     rows = [[layout, kind, *(cells[kind][c] for c in columns)] for layout, cells in figures.items() for kind in KINDS]
     scores = ["auc", "calibration", "auc_of_all", "calibration_of_all", "false_alarms"]
-    parts = [str(__doc__).partition("\n\n")[2].strip(), table(["layout", "event", *columns], rows)]
-    parts.append(table(["layout", *scores], [[k, *(of["confidence"][c] for c in scores)] for k, of in figures.items()]))
-    return "\n\n".join(parts)
+    confidence = {layout: cells["confidence"] for layout, cells in figures.items()}
+    return page(__doc__, table(["layout", "event", *columns], rows), table_of("layout", scores, confidence))

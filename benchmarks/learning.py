@@ -9,13 +9,14 @@ from __future__ import annotations
 
 import csv
 import tempfile
-import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.common import Figures, Gate, Options, steps_per_s
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate
 
 ALGORITHMS = ("maskable_ppo", "ppo")
 RATE, WAITING = "periods_per_s", "waiting_share"
@@ -32,8 +33,8 @@ def run(options: Options) -> Figures:
 def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:
     """Speed of an algorithm over the rounds; `fields` of the configuration."""
     single = Single(algorithm, fields)
-    single.measure(seconds)  # loads compiled functions and fills caches
-    measured = [(single.measure(seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
+    steps_per_s(single.step, seconds)  # loads compiled functions and fills caches
+    measured = [(steps_per_s(single.step, seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
     alone, rates, waiting = (np.array(column) for column in zip(*measured, strict=True))
     return {
         "steps_per_s": estimate(rates),
@@ -74,15 +75,12 @@ class Single:
         self.env, self.rng = make_env(configuration(algorithm, fields)), np.random.default_rng(0)
         self.observation = self.env.reset(seed=0)[0]
 
-    def measure(self, seconds: float) -> float:
-        """Control steps per second, over at least this time."""
-        start, steps = time.perf_counter(), 0
-        while time.perf_counter() < start + seconds:
-            self.observation, _, terminated, truncated, info = self.env.step(self.choose())
-            steps += info["periods"]
-            if terminated or truncated:
-                self.observation = self.env.reset()[0]
-        return steps / (time.perf_counter() - start)
+    def step(self) -> int:
+        """One action: its control steps."""
+        self.observation, _, terminated, truncated, info = self.env.step(self.choose())
+        if terminated or truncated:
+            self.observation = self.env.reset()[0]
+        return int(info["periods"])
 
     def choose(self) -> Any:
         """Any goal, or mostly forward."""

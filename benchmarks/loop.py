@@ -22,17 +22,17 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, table
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table
 from benchmarks.variants import (
     CLIPPER,
     DEFAULT,
@@ -45,22 +45,17 @@ from benchmarks.variants import (
     two_pass_jcbb,
     with_change,
 )
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
-from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.scan import merge_sweeps
-from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.frontend.front_end import front_end as features_of
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from mecp_env.world.schema import Layout
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
 VARIANTS: dict[str, Variant] = {
@@ -129,15 +124,9 @@ class Look:
 
 def run(options: Options) -> Figures:
     """Results of every set, variant and sigma of the pose."""
-    counts = chosen(options.sets, SEEDS, MOST) or SEEDS
     scans = QUICK_SCANS if options.quick else SCANS
-    drives = [
-        (layout, scans, seed)
-        for layout in counts
-        for seed in range(min(QUICK_DRIVES, counts[layout]) if options.quick else counts[layout])
-    ]
-    task = partial(compare, records=Records(options.records))
-    results = grouped(drives, in_parallel(task, dict[str, dict[str, Figures]], drives, options))
+    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)]
+    results = on_records(compare, dict[str, dict[str, Figures]], drives, options)
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
@@ -194,8 +183,7 @@ def building(layout: str, seed: int) -> Layout:
 def finish(drive: Drive) -> Finished:
     """The map that the default estimator makes of a drive."""
     pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    for output, T_world_robot in drive.outputs(pipeline):
         log.record(output, drive.truth.identify(output.corners, T_world_robot))
     return Finished(pipeline, log.features[:, 0], inverse(drive.T_world_robot[0]))
 
@@ -209,14 +197,10 @@ def look(drive: Drive, finished: Finished, step: int) -> Look:
     return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot, beams)
 
 
-def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, NDArray[np.bool_]]:
+def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, Bools]:
     """Corners of a scan, its beams, and which of these end on a wall."""
-    rule = slam.clustering
-    beams = merge_sweeps(scan, slam.sensor, rule.sweeps)
-    clusters = cluster_beams(beams, rule, slam.segments, slam.sensor, rule.united(len(scan.ranges)))
-    segments = extract_segments(beams, clusters, slam.segments, slam.sensor)
-    corners = extract_corners(beams, segments, slam.corners, slam.sensor)
-    return corners, beams, beams_on_walls(clusters, beams)
+    found = features_of(scan, slam)
+    return found.corners, found.beams, found.wall
 
 
 def count_scans(
@@ -260,21 +244,19 @@ def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
 
 def figures_of(drives: list[Figures]) -> Figures:
     """Results of one variant at one sigma."""
-    counts = {name: np.array([float(drive[name]) for drive in drives]) for name in drives[0]}
+    counts = columns_of(drives)
     return {
-        "right": ratio(counts["right"], counts["scans"]),
-        "possible": ratio(counts["possible"], counts["scans"]),
-        "wrong": ratio(counts["wrong"], counts["pairs"]),
+        **ratios(counts, right="right/scans", possible="possible/scans", wrong="wrong/pairs"),
         "wrong_pairs": int(counts["wrong"].sum()),
-        "polygon": ratio(counts["polygon"], counts["scans"]),
-        "ms": estimate(counts["ms"]),
+        **ratios(counts, polygon="polygon/scans"),
+        **means(counts, "ms"),
         "scans": int(counts["scans"].sum()),
     }
 
 
 def report(figures: Figures) -> str:
     """Per set a table of right scans, one of wrong pairs, one of recognised polygons and one of times."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     if not any(name in variants for variants in figures.values() for name in KISS):
         parts.append("KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing.")
     for layout, variants in figures.items():
@@ -284,7 +266,7 @@ def report(figures: Figures) -> str:
         for name, title in TITLES.items():
             rows = [[variant, *(cells[sigma][name] for sigma in cells)] for variant, cells in variants.items()]
             parts.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

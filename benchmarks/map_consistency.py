@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from benchmarks.errors import mean_nees
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import to_map
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 def map_nees(truth: GroundTruth, log: AssociationLog, belief: Filter, T_map_world: Array) -> tuple[float, float]:
@@ -42,10 +40,3 @@ def seen_together(log: AssociationLog, ids: Ints) -> tuple[Ints, Ints]:
     seen[step[rows], slot[feature[rows]]] = 1.0
     a, b = np.nonzero(np.triu(seen.T @ seen, 1))
     return a, b
-
-
-def mean_nees(errors: Array, covs: Array) -> float:
-    """Mean of e^T P^-1 e over errors (k,2) with covariances (k,2,2); nan without any."""
-    if not len(errors):
-        return float("nan")
-    return float(np.einsum("ki,ki->k", errors, np.linalg.solve(covs, errors[:, :, None])[:, :, 0]).mean())

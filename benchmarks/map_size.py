@@ -20,11 +20,13 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop
 from benchmarks.clutter import cluttered
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules, table
+from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import IN_MEMORY, Records
+from benchmarks.tables import page, table_of
 from benchmarks.variants import associators, with_change
+from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import KINDS, SlamConfig
@@ -145,13 +147,11 @@ TIMED = {FILTERS: step_ms, ASSOCIATORS: association_ms}
 
 def report(figures: Figures) -> str:
     """One table of filters, one of associators."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for part, rows in figures.items():
         counts = list(next(iter(rows.values())))
-        parts.append(
-            table([f"{part}: ms, landmarks", *counts], [[n, *(of[c] for c in counts)] for n, of in rows.items()])
-        )
-    return "\n\n".join(parts)
+        parts.append(table_of(f"{part}: ms, landmarks", counts, rows))
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -25,7 +25,8 @@ import gymnasium as gym
 import numpy as np
 
 from benchmarks import mutated_files, mutated_keywords
-from benchmarks.common import Figures, Gate, Options, in_parallel, table
+from benchmarks.common import Figures, Gate, Options, in_parallel
+from benchmarks.tables import table
 from mecp_env.core.errors import MecpError
 
 PER_KIND, QUICK = 92, 2  # 2,024 in all

@@ -27,13 +27,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
-from benchmarks.drives import Drive, Replay, replay
+from benchmarks.columns import columns_of, means, precision_and_recall, ratios
+from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.drives import Drive, replay
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table_of
 from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, with_change
+from mecp_env.core.intervals import share
 from mecp_env.core.sensors import Odometry, Scan
-from mecp_env.evaluation.metric_arrays import is_lost
 
 LAYOUT = "paper"
 VARIANTS: dict[str, Variant] = {
@@ -116,16 +118,10 @@ GATES = tuple(
 
 def run(options: Options) -> Figures:
     """Results of every cell and variant."""
-    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
-    drives = [
-        (cell, seed)
-        for cell in counts
-        for seed in range(min(QUICK_DRIVES, counts[cell]) if options.quick else counts[cell])
-    ]
-    drives.sort(key=lambda drive: (drive[1], source(drive[0])))  # the cells of one recording one after the other
-    task = partial(compare, records=Records(options.records))
-    results = grouped(drives, in_parallel(task, dict[str, Figures], drives, options))
-    return {cell: {name: summarise([of[name] for of in results[cell]]) for name in VARIANTS} for cell in counts}
+    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
+    in_turn = sorted(drives, key=lambda drive: (drive[1], source(drive[0])))  # cells of one recording in succession
+    results = on_records(compare, dict[str, Figures], in_turn, options)
+    return {cell: {name: summarise([of[name] for of in results[cell]]) for name in VARIANTS} for cell in dict(drives)}
 
 
 def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
@@ -135,7 +131,7 @@ def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Fi
     if cell in CHANGED:
         drive = CHANGED[cell](drive, seed)
     return {
-        name: counts(replay(drive, with_change(drive.slam, variant.change), variant.make))
+        name: replay(drive, with_change(drive.slam, variant.change), variant.make).counts
         for name, variant in VARIANTS.items()
     }
 
@@ -156,40 +152,17 @@ def course(cell: str, seed: int) -> Course:
     return Course(LAYOUT, seed, {"estimator": "truth", **RECORDED[cell]})
 
 
-def counts(outcome: Replay) -> Figures:
-    """Counts of one drive."""
-    tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
-    return {
-        "tp": tp,
-        "fp": fp,
-        "fn": fn,
-        "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
-        "nees": float(outcome.nees.mean()),
-        "map_rmse_m": outcome.map_rmse_m,
-        "landmarks_false": outcome.landmarks_false,
-        "duplicates": outcome.duplicates,
-        "far": outcome.far,
-        "phantoms": outcome.phantoms,
-        "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
-        "associate_ms": outcome.associate_ms,
-    }
-
-
 def summarise(drives: list[Figures]) -> Figures:
     """Results of all drives of a cell, each with its 95 % interval over drives."""
-    columns = {name: np.array([float(drive[name]) for drive in drives]) for name in drives[0]}
+    columns = columns_of(drives)
     return {
-        "rmse_m": estimate(columns["rmse_m"]),
-        "nees": estimate(columns["nees"]),
-        "precision": ratio(columns["tp"], columns["tp"] + columns["fp"]),
-        "recall": ratio(columns["tp"], columns["tp"] + columns["fn"]),
-        "map_rmse_m": estimate(columns["map_rmse_m"]),
-        "landmarks_false": estimate(columns["landmarks_false"]),
-        "duplicates": estimate(columns["duplicates"]),
+        **means(columns, "rmse_m", "nees"),
+        **precision_and_recall(columns),
+        **means(columns, "map_rmse_m", "landmarks_false", "duplicates"),
         "lost": share(columns["lost"] > 0),
-        "phantoms": ratio(columns["phantoms"], columns["far"]),
+        **ratios(columns, phantoms="phantoms/far"),
         "far": int(columns["far"].sum()),
-        "associate_ms": estimate(columns["associate_ms"]),
+        **means(columns, "associate_ms"),
     }
 
 
@@ -197,12 +170,12 @@ def report(figures: Figures) -> str:
     """One table per cell with one row per variant."""
     columns = ["rmse_m", "nees", "precision", "recall", "map_rmse_m", "landmarks_false", "duplicates", "lost"]
     columns += ["associate_ms"]
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for cell, variants in figures.items():
         header = [*columns, "far", "phantoms"] if cell.startswith("range") else columns
-        rows = [[name, *(row[column] for column in header)] for name, row in variants.items()]
-        parts.append(f"## {cell} ({variants[DEFAULT]['rmse_m']['n']} drives)\n\n{table(['variant', *header], rows)}")
-    return "\n\n".join(parts)
+        of_cell = table_of("variant", header, variants)
+        parts.append(f"## {cell} ({variants[DEFAULT]['rmse_m']['n']} drives)\n\n{of_cell}")
+    return page(__doc__, *parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -9,15 +9,16 @@ filter assumes is on every beam; in `paper_ideal` the laser is ideal.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
 from benchmarks import association
 from benchmarks.association import IDEAL, LETTER
-from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, ratio, table
+from benchmarks.columns import columns_of, ratios
+from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive, replay
-from benchmarks.records import IN_MEMORY, Records
+from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.structures import CountingAssociator
+from benchmarks.tables import page, table_of
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import AssociationConfig, SlamConfig
@@ -56,14 +57,8 @@ def rows() -> dict[str, dict[str, Any]]:
 
 def run(options: Options) -> Figures:
     """Results of both readings and every row."""
-    seeds = chosen(options.sets, SEEDS, MOST) or SEEDS
-    drives = [(layout, seed) for layout in seeds for seed in range(2 if options.quick else seeds[layout])]
-    task = partial(measure, records=Records(options.records))
-    runs = in_parallel(task, dict[str, Figures], drives, options)
-    return {
-        layout: {name: summary([run[name] for run in of_layout]) for name in rows()}
-        for layout, of_layout in grouped(drives, runs).items()
-    }
+    runs = on_records(measure, dict[str, Figures], runs_of(options, SEEDS, MOST, 2), options)
+    return {layout: {name: summary([run[name] for run in of]) for name in rows()} for layout, of in runs.items()}
 
 
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
@@ -86,15 +81,11 @@ def count(drive: Drive, slam: SlamConfig) -> Figures:
 
 def summary(runs: list[Figures]) -> Figures:
     """Figures of one row over all drives, with 95 % intervals."""
-    scans = [run["scans"] for run in runs]
-    polygons = {name: ratio([run[name] for run in runs], scans) for name in ("found", "recognised")}
+    polygons = ratios(columns_of(runs), found="found/scans", recognised="recognised/scans")
     return {**association.summarise(runs), **polygons}
 
 
 def report(figures: Figures) -> str:
     """One table per reading."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
-    for layout, of in figures.items():
-        body = [[name, *(row[column] for column in COLUMNS)] for name, row in of.items()]
-        parts.append(f"## {layout} ({of[DEFAULT]['precision']['n']} drives)\n\n{table(['', *COLUMNS], body)}")
-    return "\n\n".join(parts)
+    titles = {layout: f"## {layout} ({of[DEFAULT]['precision']['n']} drives)" for layout, of in figures.items()}
+    return page(__doc__, *(f"{titles[layout]}\n\n{table_of('', COLUMNS, of)}" for layout, of in figures.items()))

@@ -12,15 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
-from numpy.typing import NDArray
 
 from benchmarks.polygon_centres import Centre
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import to_map
 from mecp_env.render import shapes
 from mecp_env.slam.output import SlamOutput
 from mecp_env.world.outline import Outline
-
-Array = NDArray[np.float64]
 
 TITLES = {
     "fig2": "one sweep of the laser",

@@ -22,10 +22,12 @@ import gymnasium
 import numpy as np
 import shapely
 import yaml
-from numpy.typing import NDArray
 
-from benchmarks.common import Figures, ratio, table
+from benchmarks.common import Figures, in_turns
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
+from benchmarks.tables import page, table
+from mecp_env.core.carriers import Array
+from mecp_env.core.intervals import ratio
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
 
@@ -34,7 +36,6 @@ EPISODE = 10  # blocks; an episode may end earlier by itself
 BLOCK = 100  # steps of ours
 STEP_S = 0.4
 
-Array = NDArray[np.float64]
 Block = Callable[[], tuple[int, float]]  # drives a block: steps, CPU seconds
 
 
@@ -137,10 +138,8 @@ def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
     drivers: dict[Any, Block] = peers | {(k, kind): Ours(k, kind) for k in sweeps for kind in ACTIONS}
     for drive in drivers.values():
         drive()  # loads compiled functions
-    names = list(drivers)
-    turned = [names[k % len(names) :] + names[: k % len(names)] for k in range(turns)]
-    blocks = [{name: drivers[name]() for name in turn} for turn in turned]
-    per_step = {name: np.array([turn[name][1] / turn[name][0] for turn in blocks]) for name in names}
+    blocks = in_turns(drivers, turns)
+    per_step = {name: np.array([turn[name][1] / turn[name][0] for turn in blocks]) for name in drivers}
     return {
         peer: {f"K={k}": {kind: compared(per_step[k, kind], per_step[peer]) for kind in ACTIONS} for k in sweeps}
         for peer in peers
@@ -176,5 +175,4 @@ def report(figures: Figures) -> str:
         for actions, values in both.items()
     ]
     head = ["peer", "sweeps", "actions", "our steps per second over the peer's", "our steps per second", "the peer's"]
-    about = (__doc__ or "").partition("\n\n")[2].strip()
-    return f"{about}\n\n{table(head, rows)}" if rows else "The extra `peers` is not installed."
+    return page(__doc__, table(head, rows)) if rows else "The extra `peers` is not installed."

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
+from mecp_env.core.carriers import Array
 from mecp_env.world.schema import Layout
 
 LEAST_M2 = 2.0  # smaller labelled rooms need not be found
@@ -34,13 +35,13 @@ def room_pixels(layout: Layout, shape: tuple[int, int], resolution_m: float) -> 
     return np.asarray(image, np.int32)
 
 
-def overlaps(found: NDArray[np.int32], labels: NDArray[np.int32]) -> NDArray[np.float64]:
+def overlaps(found: NDArray[np.int32], labels: NDArray[np.int32]) -> Array:
     """IoU (f+1,l+1) of every room of `found` with every label, each (h,w); row and column 0 are no rooms."""
     count = int(labels.max()) + 1
     pairs = np.bincount((found.astype(np.int64) * count + labels).ravel(), minlength=(int(found.max()) + 1) * count)
     shared = pairs.reshape(-1, count).astype(np.float64)
     union = shared.sum(axis=1)[:, None] + shared.sum(axis=0) - shared
-    iou: NDArray[np.float64] = shared / np.maximum(union, 1.0)
+    iou: Array = shared / np.maximum(union, 1.0)
     iou[0], iou[:, 0] = 0.0, 0.0
     return iou
 

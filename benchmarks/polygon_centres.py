@@ -6,14 +6,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.messages import Corners
 from mecp_env.slam.protocols import Filter
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

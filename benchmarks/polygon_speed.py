@@ -12,14 +12,11 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.common import Figures
+from benchmarks.loop import front_end
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.slam.config import PolygonConfig, SlamConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
-from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.scan import merge_sweeps
-from mecp_env.slam.frontend.segments import extract_segments
 from mecp_env.slam.mecp.cycles import order_by_bearing
 from mecp_env.slam.mecp.edge_labels import EdgeBeams
 from mecp_env.slam.mecp.polygons import best_free_cycles, find_polygons
@@ -29,9 +26,8 @@ from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline, random_free_pose
 
-Array = NDArray[np.float64]
 Item = TypeVar("Item")
-SeenScan = tuple[Corners, MergedScan, NDArray[np.bool_]]
+SeenScan = tuple[Corners, MergedScan, Bools]
 
 SITES = (5, 10, 15, 20, 30, 40)
 SIGMAS = np.full(max(SITES), 0.02)  # m
@@ -93,11 +89,7 @@ def scans_of(layout: str, scans: int) -> Iterator[SeenScan]:
     outline, config, rng = build_outline(load_layout(layout)), SlamConfig(), np.random.default_rng(0)
     laser = Laser(outline, LaserConfig())
     for _ in range(scans):
-        beams = merge_sweeps(laser.scan(random_free_pose(outline, rng, 0.3), rng), config.sensor)
-        clusters = cluster_beams(beams, config.clustering, config.segments, config.sensor)
-        segments = extract_segments(beams, clusters, config.segments, config.sensor)
-        corners = extract_corners(beams, segments, config.corners, config.sensor)
-        yield corners, beams, beams_on_walls(clusters, beams)
+        yield front_end(laser.scan(random_free_pose(outline, rng, 0.3), rng), config)
 
 
 def median_us(call: Callable[[Item], object], items: Sequence[Item], repeats: int = 20) -> float:

@@ -14,9 +14,9 @@ from typing import Annotated, Any
 
 import numpy as np
 import tyro
-from numpy.typing import NDArray
 
 from mecp_env.cli.exit_codes import run_command
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import read_config
 from mecp_env.policies.registry import WEIGHTS
@@ -25,7 +25,6 @@ from mecp_env.render.palette import MARKERS
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 SCORES = {"auc": "area under coverage over metres", "correct_over_steps": "correct coverage over steps"}
 MOST_BYTES = 1_900_000  # of weights in the repository
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

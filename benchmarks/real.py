@@ -20,7 +20,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -29,27 +28,18 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from benchmarks import noise, worlds
-from benchmarks.common import (
-    Figures,
-    Gate,
-    Options,
-    chosen,
-    estimate,
-    grouped,
-    in_parallel,
-    ratio,
-    share,
-    shared_data,
-    table,
-)
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, chosen, shared_data
 from benchmarks.drives import replay
 from benchmarks.plan_scores import score_rooms
 from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
 from benchmarks.real_maps import MapData, small_multiples
-from benchmarks.records import IN_MEMORY, Records
+from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.tables import table, table_of
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
+from mecp_env.core.intervals import estimate, ratio, share
 from mecp_env.floorplans import load_plan
 from mecp_env.world.outline import build_outline
 from mecp_env.wrappers import GoalActions
@@ -87,8 +77,7 @@ def run(options: Options) -> Figures:
         print(f"{name}: skipped, {reason}", file=sys.stderr)
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
     results: dict[str, dict[str, list[Figures]]] = {}
-    task = partial(measure, records=Records(options.records))
-    for (name, what), of_one in grouped(tasks, in_parallel(task, dict[str, Any], tasks, options)).items():
+    for (name, what), of_one in on_records(measure, dict[str, Any], tasks, options).items():
         results.setdefault(name, {})[what] = of_one
     figures = {name: SUMMARIES[name](of_set) for name, of_set in results.items()}
     return figures | ({"skipped": skipped} if skipped else {})
@@ -188,8 +177,7 @@ def look_ahead(seed: int, records: Records = IN_MEMORY) -> Figures:
     """A drive on `paper` whose scans are cut to the field of view, for an estimator that knows it."""
     drive = noise.recorded(noise.BASE, seed, records)
     cut = replace(drive, scans=[noise.narrowed(scan, VIEW_DEG) for scan in drive.scans])
-    outcome = replay(cut, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}}))
-    return noise.counts(outcome) | {"polygon_share": outcome.polygon_share}
+    return replay(cut, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
 
 
 def summarise_plans(results: Mapping[str, list[Figures]]) -> Figures:
@@ -210,25 +198,23 @@ def summarise_explored(results: Mapping[str, list[Figures]]) -> Figures:
 def summarise_visits(visits: list[Figures]) -> Figures:
     """Figures of explorations, each with its 95 % interval."""
 
-    def of(*names: str) -> Any:
-        return sum(np.array([float(visit[name]) for visit in visits]) for name in names)
-
+    of = columns_of(visits)
+    of |= {"right": of["association_pairs"] - of["association_false"]}
+    of |= {"doors_false_10": 10.0 * of["doors_false"], "contacts_100": 100.0 * of["contacts"]}
     return {
         **{name: share(visit[name] for visit in visits) for name in ("seen", "complete", "lost", "early")},
-        "coverage": estimate(of("coverage")),
-        "precision": ratio(of("association_pairs") - of("association_false"), of("association_pairs")),
-        "pose_rmse_m": estimate(of("pose_rmse_m")),
-        "pose_rmse_worst_m": float(of("pose_rmse_m").max()),
-        "nees": estimate(of("nees_mean")),
-        "rooms_found": ratio(of("rooms_found"), of("rooms")),
-        "rooms_false": estimate(of("rooms_false")),
-        "doors_found": ratio(of("doors_found"), of("doors")),
-        "doors_false_per_10_true": ratio(10.0 * of("doors_false"), of("doors")),
-        "duplicates": estimate(of("duplicates")),
-        "contacts_per_100_m": ratio(100.0 * of("contacts"), of("metres")),
-        "periods_per_m2": ratio(of("periods"), of("free_area_m2")),
-        "metres": estimate(of("metres")),
-        "free_area_m2": float(of("free_area_m2").mean()),
+        **means(of, "coverage"),
+        **ratios(of, precision="right/association_pairs"),
+        **means(of, "pose_rmse_m"),
+        "pose_rmse_worst_m": float(of["pose_rmse_m"].max()),
+        "nees": estimate(of["nees_mean"]),
+        **ratios(of, rooms_found="rooms_found/rooms"),
+        **means(of, "rooms_false"),
+        **ratios(of, doors_found="doors_found/doors", doors_false_per_10_true="doors_false_10/doors"),
+        **means(of, "duplicates"),
+        **ratios(of, contacts_per_100_m="contacts_100/metres", periods_per_m2="periods/free_area_m2"),
+        **means(of, "metres"),
+        "free_area_m2": float(of["free_area_m2"].mean()),
     }
 
 
@@ -255,17 +241,14 @@ def report(figures: Figures) -> str:
     """A table for the plans, the explorations, the logs and the lasers."""
     parts = [__doc__ or "", *(f"Skipped: {name}, {why}." for name, why in figures.get("skipped", {}).items())]
     if PLANS in figures:
-        rows = [(plan, *(of[name] for name in PLAN_COLUMNS)) for plan, of in figures[PLANS].items()]
-        parts.append(f"## Rooms of the imported KTH floors\n\n{table(['plan', *PLAN_COLUMNS], rows)}")
+        rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
+        parts.append(f"## Rooms of the imported KTH floors\n\n{rooms}")
     logs = {name: figures[name] for name in LOGS if name in figures}
     lasers = {name: figures[name] for name in URG if name in figures}
     tables = {"Explorations": figures.get(EXPLORED, {}), "Logs": logs, "URG-04LX, breadth first": lasers}
     tables["View of 180 degrees on paper"] = {name: figures[name] for name in (VIEW,) if name in figures}
     parts += [f"## {title}\n\n{columns(of)}" for title, of in tables.items() if of]
     return "\n\n".join(parts)
-
-
-PLAN_COLUMNS = ("labelled", "found", "imported", "false")
 
 
 def columns(settings: Mapping[str, Figures]) -> str:

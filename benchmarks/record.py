@@ -11,9 +11,10 @@ from collections.abc import Callable
 from functools import partial
 
 from benchmarks import association, association_time, clutter, consistency, kidnap, loop, noise, sensors
-from benchmarks.common import Figures, Options, chosen, grouped, in_parallel, table
+from benchmarks.common import Figures, Options, chosen, grouped, in_parallel
 from benchmarks.record_file import load_header
 from benchmarks.records import Course, Records
+from benchmarks.tables import table_of
 from mecp_env.core.provenance import checksum
 
 ALL, QUICK = 1000, 2  # drives of each set
@@ -70,4 +71,4 @@ def summarise(made: list[Figures]) -> Figures:
 def report(figures: Figures) -> str:
     """One table."""
     columns = ("records", "scans", "MB", "content")
-    return table(["benchmark", *columns], [[name, *(of[c] for c in columns)] for name, of in figures.items()])
+    return table_of("benchmark", columns, figures)

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks.common import Options, grouped, in_parallel
 from benchmarks.drives import Drive, record_drive
 from benchmarks.record_file import Arrays, Header, RecordError, load_record, save_record
 from mecp_env.core.errors import MecpError
@@ -70,6 +73,11 @@ class Records:
 
 
 IN_MEMORY = Records()
+
+
+def on_records(task: Callable[..., Any], kind: Any, units: Sequence[Any], options: Options) -> dict[Any, list[Any]]:
+    """The results of `task` for each unit, on the records of a run, grouped by all but the number of their unit."""
+    return grouped(units, in_parallel(partial(task, records=Records(options.records)), kind, units, options))
 
 
 def _save(path: Path, header: Header, arrays: Arrays) -> None:

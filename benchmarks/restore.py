@@ -21,8 +21,9 @@ import numpy as np
 
 import mecp_env
 from benchmarks import restore_logs
-from benchmarks.common import Figures, Gate, Options, in_parallel, table
+from benchmarks.common import Figures, Gate, Options, in_parallel
 from benchmarks.restore_logs import same
+from benchmarks.tables import table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
 from mecp_env.core.snapshot import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline

@@ -18,8 +18,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, Gate, OptionError, Options, chosen, estimate, grouped, in_parallel, table
-from mecp_env.core.intervals import correlation, ratio
+from benchmarks.common import Figures, Gate, OptionError, Options, chosen, grouped, in_parallel
+from benchmarks.tables import table
+from mecp_env.core.intervals import correlation, estimate, ratio
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
 from mecp_env.policies.rollout import EpisodeTask, run_episode

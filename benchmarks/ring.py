@@ -11,16 +11,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.se2 import wrap_angle, wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.messages import Belief
-
-Array = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Bools = NDArray[np.bool_]
 
 ROOM_M = 6.0
 RING = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
@@ -69,12 +66,7 @@ def moved(T: Array, d: float, sideways: float, w: float) -> Array:
 def measure(T: Array, points: Array) -> Array:
     """(n,2) noise-free range and bearing."""
     d = points - T[:2]
-    return np.stack([np.hypot(d[:, 0], d[:, 1]), wrap(np.arctan2(d[:, 1], d[:, 0]) - T[2])], axis=1)
-
-
-def wrap(angle: Array) -> Array:
-    """In [-pi, pi)."""
-    return np.remainder(angle + np.pi, 2 * np.pi) - np.pi
+    return np.stack([np.hypot(d[:, 0], d[:, 1]), wrapped(np.arctan2(d[:, 1], d[:, 0]) - T[2])], axis=1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -155,7 +147,7 @@ def cycle(estimate: Filter, step: Step, iterate: bool = False) -> None:
 def pose_nees(belief: Belief, T_true: Array) -> float:
     """Normalised estimation error squared of the pose; 3 expected."""
     e = T_true - belief.T_map_robot
-    e[2] = wrap(e[2])
+    e[2] = wrap_angle(e[2])
     return float(e @ np.linalg.solve(belief.pose_cov, e))
 
 

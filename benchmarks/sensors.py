@@ -13,16 +13,15 @@ pose. A drive is lost as in `noise`; its figures count.
 
 from __future__ import annotations
 
-from functools import partial
 from typing import Any
 
-import numpy as np
-
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, ratio, share, table
+from benchmarks.columns import columns_of, means, precision_and_recall
+from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import replay
 from benchmarks.loop import HARD
-from benchmarks.records import IN_MEMORY, Course, Records
-from mecp_env.evaluation.metric_arrays import is_lost
+from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.tables import page, table_of
+from mecp_env.core.intervals import share
 from mecp_env.slam.config import chi2_of_point
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950
@@ -48,15 +47,10 @@ GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
 
 def run(options: Options) -> Figures:
     """Results of every sensor."""
-    counts = chosen(options.sets, DRIVES, MOST) or DRIVES
-    drives = [
-        (name, seed)
-        for name, count in counts.items()
-        for seed in range(min(count, QUICK_DRIVES) if options.quick else count)
-    ]
-    drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each sensor
-    runs = grouped(drives, in_parallel(partial(counted, records=Records(options.records)), Figures, drives, options))
-    return {name: summarise(runs[name]) for name in counts}
+    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
+    by_seed = sorted(drives, key=lambda drive: drive[1])  # a part of the time gives a part of each sensor
+    runs = on_records(counted, Figures, by_seed, options)
+    return {name: summarise(runs[name]) for name in dict(drives)}
 
 
 def course(name: str, seed: int) -> Course:
@@ -70,32 +64,17 @@ def counted(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> Figures:
     """Counts of the estimator on one drive."""
     drive = records.drive(course(*drive_of))
     outcome = replay(drive, drive.slam)
-    tp, fp, fn, _ = (int(n) for n in outcome.log.final_counts())
-    return {
-        "nees": float(outcome.nees.mean()),
-        "landmark_nees": outcome.landmark_nees,
-        "pair_nees": outcome.pair_nees,
-        "in_ellipse": float((outcome.position_nees <= ELLIPSE).mean()),
-        "rmse_m": float(np.sqrt((outcome.error_m**2).mean())),
-        "lost": is_lost(outcome.error_m, outcome.error_rad, outcome.diverged),
-        "tp": tp,
-        "fp": fp,
-        "fn": fn,
-    }
+    return outcome.counts | {"in_ellipse": float((outcome.position_nees <= ELLIPSE).mean())}
 
 
 def summarise(runs: list[Figures]) -> Figures:
     """Results of one sensor over its drives, each with its 95 % interval."""
-    found: Figures = {name: estimate([run[name] for run in runs]) for name in MEANS}
-    tp, fp, fn = (np.array([run[name] for run in runs], float) for name in ("tp", "fp", "fn"))
-    lost = np.array([run["lost"] for run in runs])
-    return found | {"precision": ratio(tp, tp + fp), "recall": ratio(tp, tp + fn), "lost": share(lost)}
+    columns = columns_of(runs)
+    return {**means(columns, *MEANS), **precision_and_recall(columns), "lost": share(columns["lost"] > 0)}
 
 
 def report(figures: Figures) -> str:
     """One row per sensor."""
     columns = (*MEANS, "precision", "recall", "lost")
-    body = [[name, *(row[column] for column in columns)] for name, row in figures.items()]
     n = max(row["nees"]["n"] for row in figures.values())
-    said = str(__doc__).partition("\n\n")[2].strip()
-    return f"{said}\n\nDrives per sensor: {n}.\n\n{table(['sensor', *columns], body)}"
+    return page(__doc__, f"Drives per sensor: {n}.", table_of("sensor", columns, figures))

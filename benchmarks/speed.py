@@ -13,21 +13,20 @@ from typing import Any
 
 import numpy as np
 import pymunk
-from numpy.typing import NDArray
 
 from benchmarks import crowd_speed, peers, polygon_speed
-from benchmarks.common import Figures, Gate, Options, table
+from benchmarks.common import Figures, Gate, Options
+from benchmarks.drives import drive_at_random, exploration
 from benchmarks.polygon_speed import SITES
+from benchmarks.tables import table
 from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
+from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
-from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser, _cast
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
 from mecp_env.wrappers import GoalActions
-
-Array = NDArray[np.float64]
 
 LAYOUT = "paper"
 SWEEPS = (1, 4)
@@ -74,31 +73,14 @@ def with_driver(watch: Stopwatch) -> float:
     return watch.steps / (watch.seconds["step"] + watch.seconds["drive"])
 
 
-def drive_at_random(env: MecpEnv, steps: int) -> None:
-    """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
-    rng = np.random.default_rng(0)
-    for step in range(steps):
-        if step % 1000 == 0:
-            env.reset(seed=step)
-        if step % 10 == 0:
-            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
-        _, _, terminated, truncated, _ = env.step(action)
-        if terminated or truncated:
-            env.reset(seed=step)
-
-
 def explore(env: MecpEnv, steps: int) -> None:
     """Whole explorations, one after the other, until enough steps are over."""
-    seen, policy = 0, BreadthFirst()
-    goals = GoalActions(env)
+    seen, goals = 0, GoalActions(env)
     for seed in range(steps):
-        if seen >= steps:
-            return
-        observation, _ = goals.reset(seed=seed)
-        terminated = truncated = False
-        while not (terminated or truncated) and seen < steps:
-            observation, _, terminated, truncated, info = goals.step(policy.act(observation, goals.action_masks()))
+        for info, _ in exploration(goals, seed):
             seen += info["periods"]
+            if seen >= steps:
+                return
 
 
 def rays(poses: int) -> Figures:

@@ -12,8 +12,10 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.common import Figures, Gate, Options
+from benchmarks.tables import table
 from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, end_group, environment_of
+from mecp_env.core.intervals import estimate
 
 RUNS = 3
 QUICK_RUNS = 1

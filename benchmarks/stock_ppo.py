@@ -20,8 +20,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.common import Figures, Gate, Options, steps_per_s
 from benchmarks.process_use import processor_s
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate
 
 ROOMS = "mecp_env/Rooms-v0"
 MODULE_AND_ID = f"mecp_env:{ROOMS}"  # the processes of SubprocVecEnv import the package first
@@ -73,7 +75,7 @@ def compare(case: Case, rounds: int, seconds: float, actions: int) -> Figures:
     torch.set_num_threads(1)
     single, venv = Single(case), make_venv(case)
     model = PPO(POLICIES[case.observation], venv, n_steps=actions // case.environments)
-    measured = [(single.measure(seconds), *learn(model, actions)) for _ in range(rounds + 1)][1:]
+    measured = [(steps_per_s(single.step, seconds), *learn(model, actions)) for _ in range(rounds + 1)][1:]
     venv.close()
     alone, rates, learner, others = (np.array(column) for column in zip(*measured, strict=True))
     return {
@@ -122,15 +124,12 @@ class Single:
         self.env.action_space.seed(0)
         self.env.reset(seed=0)
 
-    def measure(self, seconds: float) -> float:
-        """Control steps per second, over at least this time."""
-        start, steps = time.perf_counter(), 0
-        while time.perf_counter() < start + seconds:
-            _, _, terminated, truncated, info = self.env.step(self.env.action_space.sample())
-            steps += info.get("periods", 1)
-            if terminated or truncated:
-                self.env.reset()
-        return steps / (time.perf_counter() - start)
+    def step(self) -> int:
+        """One action: its control steps."""
+        _, _, terminated, truncated, info = self.env.step(self.env.action_space.sample())
+        if terminated or truncated:
+            self.env.reset()
+        return int(info.get("periods", 1))
 
 
 def report(figures: Figures) -> str:

@@ -13,29 +13,20 @@ that the structure made, the share of scans with at least three right pairs and 
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks import association, loop
-from benchmarks.common import (
-    Figures,
-    Gate,
-    Options,
-    chosen,
-    estimate,
-    grouped,
-    in_parallel,
-    load_modules,
-    ratio,
-    table,
-)
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.loop import HARD, named
 from benchmarks.polygon_speed import median_us
-from benchmarks.records import IN_MEMORY, Records
+from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.tables import page, table
 from benchmarks.variants import DEFAULT, with_change
+from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import make_associator
@@ -107,15 +98,11 @@ class CountingAssociator(Associator):
 
 def run(options: Options) -> Figures:
     """Both parts, for each layout and structure."""
-    seeds = chosen(options.sets, SEEDS, MOST) or SEEDS
     load_modules(options.modules)
-    most = 2 if options.quick else MOST
-    units = [("closed", layout, seed) for layout, n in seeds.items() for seed in range(min(n, most))]
-    units += [
-        ("rough", layout, seed) for layout in seeds for seed in range(min(ROUGH.get(layout, 0), seeds[layout], most))
-    ]
-    task = partial(measure, records=Records(options.records))
-    found = grouped(units, in_parallel(task, dict[str, Any], units, options))
+    drives = runs_of(options, SEEDS, MOST, 2)
+    units = [("closed", layout, seed) for layout, seed in drives]
+    units += [("rough", layout, seed) for layout, seed in drives if seed < ROUGH.get(layout, 0)]
+    found = on_records(measure, dict[str, Any], units, options)
     parts: Figures = {"closed": {}, "rough": {}}
     for (kind, layout), runs in found.items():
         summary = of_closed if kind == "closed" else of_rough
@@ -167,7 +154,7 @@ def time_us(drive: Drive, slam: SlamConfig) -> float:
 def of_closed(runs: list[dict[str, Figures]], name: str) -> Figures:
     """Figures of one structure over all drives of a layout, with 95 % intervals and differences to `mecp`."""
     rows = [run[name] for run in runs]
-    columns = {key: np.array([float(row[key]) for row in rows]) for key in rows[0]}
+    columns = columns_of(rows)
     wanted = (
         "precision",
         "recall",
@@ -183,12 +170,8 @@ def of_closed(runs: list[dict[str, Figures]], name: str) -> Figures:
         "drives": len(rows),
         **{key: summary[key] for key in wanted},
         "false_per_100": ratio(100.0 * columns["false_closures"], np.ones(len(rows))),
-        "by_polygon": ratio(columns["paired"], columns["seen"]),
-        "recognised": ratio(columns["recognised"], columns["scans"]),
-        "unique": ratio(columns["unique"], columns["found"]),
-        "vertices": estimate(columns["vertices"]),
-        "area_m2": estimate(columns["area_m2"]),
-        "us": estimate(columns["us"]),
+        **ratios(columns, by_polygon="paired/seen", recognised="recognised/scans", unique="unique/found"),
+        **means(columns, "vertices", "area_m2", "us"),
         **association.differences([(run[name], run[PLAIN]) for run in runs]),
         "by_polygon_minus_mecp": estimate([share_of(run[name]) - share_of(run[PLAIN]) for run in runs]),
     }
@@ -221,7 +204,7 @@ def right(run: Any, variant: str, sigma: tuple[float, float]) -> float:
 
 def report(figures: Figures) -> str:
     """Per layout the tables of both parts."""
-    parts = [str(__doc__).partition("\n\n")[2].strip()]
+    parts = []
     for layout, rows in figures["closed"].items():
         shown = [key for key in next(iter(rows.values())) if key != "drives"]
         counted = next(iter(rows.values()))["drives"]
@@ -234,4 +217,4 @@ def report(figures: Figures) -> str:
                 [f"{name}: {c}", *(cell[k] for k in columns)] for name, of in rough.items() for c, cell in of.items()
             ]
             parts.append(f"## {layout}, rough pose\n\n{table(['structure: associator, sigma', *columns], cells)}")
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)

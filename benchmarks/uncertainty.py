@@ -17,8 +17,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, OptionError, Options, chosen, estimate, grouped, in_parallel, share, table
+from benchmarks.common import Figures, Gate, OptionError, Options, chosen, grouped, in_parallel
 from benchmarks.plots import Panel, panel_rows
+from benchmarks.tables import page, table
+from mecp_env.core.intervals import estimate, share
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
@@ -144,7 +146,7 @@ def metrics_of(episodes: list[dict[str, float]]) -> Figures:
 def report(figures: Figures) -> str:
     """One table per point with one row per policy."""
     header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
-    parts = [str(__doc__).partition("\n\n")[2].strip(), f"Task: `{figures['task']}`."]
+    parts = [f"Task: `{figures['task']}`."]
     for point, policies in figures["points"].items():
         there = {
             name: title for name, title in DIFFERENCES.items() if all(name in found for found in policies.values())
@@ -153,7 +155,7 @@ def report(figures: Figures) -> str:
         count = next(iter(policies.values()))["price"]["n"]
         title = f"## {title_of(point, figures)}, {count} building{'s' * (count > 1)}"
         parts.append(f"{title}\n\n{table([*header, *there.values()], rows)}")
-    return "\n\n".join(parts)
+    return page(__doc__, *parts)
 
 
 def row_of(found: Figures, differences: Sequence[str]) -> list[str]:

@@ -25,8 +25,10 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.common import Figures, Gate, Options, in_turns
 from benchmarks.process_use import memory_mb, processor_s
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate
 from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
 
@@ -58,8 +60,7 @@ def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[s
     try:
         for driver in drivers.values():
             driver.measure(seconds)  # loads compiled functions and fills caches
-        turns = [names[k % len(names) :] + names[: k % len(names)] for k in range(rounds)]
-        measured = [{name: drivers[name].measure(seconds) for name in turn} for turn in turns]
+        measured = in_turns({name: partial(driver.measure, seconds) for name, driver in drivers.items()}, rounds)
     finally:
         for driver in drivers.values():
             driver.close()

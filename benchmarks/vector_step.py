@@ -17,7 +17,9 @@ import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, estimate, table
+from benchmarks.common import Figures, Gate, Options, in_turns
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate
 
 NAME = "mecp_env/PaperMap-v0"
 COUNTS = (1, 2, 4, 16)
@@ -43,10 +45,8 @@ def compare(keywords: dict[str, Any], rounds: int, seconds: float, counts: tuple
         for count in counts:
             batch = opened.enter_context(closing(gymnasium.make_vec(NAME, count, **keywords)))
             kinds[f"batch of {count}"] = partial(benchmark_vector_step, batch, seconds, SEED)  # type: ignore[arg-type]
-        names = list(kinds)
-        turns = [names[k % len(names) :] + names[: k % len(names)] for k in range(rounds + 1)]
-        measured = [{name: kinds[name]() for name in turn} for turn in turns][1:]  # the first loads compiled functions
-    return {name: figures(name, measured) for name in names}
+        measured = in_turns(kinds, rounds + 1)[1:]  # the first loads compiled functions
+    return {name: figures(name, measured) for name in kinds}
 
 
 def figures(name: str, measured: list[dict[str, float]]) -> Figures:

@@ -19,7 +19,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.batch import Motion, Optimum, Record, Sighting, filtered, in_order, optimum
-from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data, table
+from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data
+from benchmarks.errors import rms, sigma_ratio
+from benchmarks.tables import page, table
 from mecp_env.core.carriers import Array
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, AssociationConfig, FilterConfig
@@ -99,18 +101,12 @@ def against(record: Record, kind: str, update: str, best: Optimum) -> Figures:
     path = np.array([belief.T_map_robot for belief in filtered(record, estimate, correct)])
     seconds = time.thread_time() - begun
     p_map, covs = in_order(estimate)
-    sigmas, best_sigmas = (np.sqrt(np.trace(some, axis1=1, axis2=2)) for some in (covs, best.covs))
     return {
         "landmark_rms_m": rms(p_map - best.p_map),
-        "sigma_ratio": float(np.median(sigmas / best_sigmas)),
+        "sigma_ratio": sigma_ratio(covs, best.covs),
         "path_rms_m": rms((path - best.T_map_robot)[:, :2]),
         "ms": 1e3 * seconds / len(path),
     }
-
-
-def rms(errors: Array) -> float:
-    """Root mean square of the lengths of errors (n,2)."""
-    return float(np.sqrt((errors**2).sum(axis=1).mean()))
 
 
 def report(figures: Figures) -> str:
@@ -123,4 +119,4 @@ def report(figures: Figures) -> str:
     ]
     best = figures["batch"]
     said = f"Batch optimum: chi2 {best['chi2']:.0f} at {best['freedom']} degrees of freedom."
-    return "\n\n".join([str(__doc__).partition("\n\n")[2].strip(), said, table(["filter", "updates", *columns], rows)])
+    return page(__doc__, said, table(["filter", "updates", *columns], rows))

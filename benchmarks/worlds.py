@@ -21,22 +21,13 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.common import (
-    Figures,
-    Gate,
-    Options,
-    chosen,
-    estimate,
-    grouped,
-    in_parallel,
-    ratio,
-    share,
-    shared_data,
-    table,
-)
+from benchmarks.columns import columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, shared_data
+from benchmarks.drives import exploration
+from benchmarks.tables import table
+from mecp_env.core.intervals import estimate, share
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
-from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.registration import make
 from mecp_env.render.figures import map_figure, save
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
@@ -149,12 +140,9 @@ def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -
     """A breadth-first exploration from a start given by the seed, and the environment at its end."""
     env = make(layout=layout, actions="goal", max_steps=max_steps, start="random", **keywords)
     assert isinstance(env, GoalActions)
-    policy, begun = BreadthFirst(), time.thread_time()
-    observation, info = env.reset(seed=seed)
-    policy.reset()
-    terminated = truncated = False
-    while not (terminated or truncated):
-        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
+    begun = time.thread_time()
+    for info, terminated in exploration(env, seed):  # noqa: B007
+        pass
     speed = info["period"] / (time.thread_time() - begun)
     return Visit(env.get_wrapper_attr("summary")(), terminated, speed, info["saturated"]), env
 
@@ -206,33 +194,19 @@ def outcomes(visits: list[Visit]) -> Figures:
 def totals(finals: list[dict[str, float]]) -> Figures:
     """Coverage, precision and cost."""
 
-    def of(name: str) -> list[float]:
-        return [final[name] for final in finals]
-
-    def believed(found: str, false: str) -> list[float]:
-        return [final[found] + final[false] for final in finals]
-
-    recalled = [p - f for p, f in zip(of("association_pairs"), of("association_false"), strict=True)]
+    of = columns_of(finals)
+    of |= {"right": of["association_pairs"] - of["association_false"], "contacts_100": 100.0 * of["contacts"]}
+    of |= {"all_rooms": of["rooms"] + of["rooms_cut_off"], "recall": of["association_recall"], "nees": of["nees_mean"]}
+    of |= {f"all_{kind}_found": of[f"{kind}_found"] + of[f"{kind}_false"] for kind in ("rooms", "doors")}
     return {
-        "coverage": estimate(of("coverage")),
-        "rooms_left": ratio(of("rooms"), [a + b for a, b in zip(of("rooms"), of("rooms_cut_off"), strict=True)]),
-        "room_recall": ratio(of("rooms_found"), of("rooms")),
-        "room_precision": ratio(of("rooms_found"), believed("rooms_found", "rooms_false")),
-        "door_recall": ratio(of("doors_found"), of("doors")),
-        "door_precision": ratio(of("doors_found"), believed("doors_found", "doors_false")),
-        "precision": ratio(recalled, of("association_pairs")),
-        "recall": estimate(of("association_recall")),
-        "map_rmse_m": estimate(of("map_rmse_m")),
-        "landmarks_false": estimate(of("landmarks_false")),
-        "duplicates": estimate(of("duplicates")),
-        "landmarks_on_movers": estimate(of("landmarks_on_movers")),
-        "pose_rmse_m": estimate(of("pose_rmse_m")),
-        "nees": estimate(of("nees_mean")),
-        "metres": estimate(of("metres")),
-        "periods": estimate(of("periods")),
-        "contacts_per_100_m": ratio([100.0 * n for n in of("contacts")], of("metres")),
-        "grid_iou": estimate(of("grid_iou")),
-        "landmarks": estimate(of("landmarks")),
+        **means(of, "coverage"),
+        **ratios(of, rooms_left="rooms/all_rooms", room_recall="rooms_found/rooms"),
+        **ratios(of, room_precision="rooms_found/all_rooms_found", door_recall="doors_found/doors"),
+        **ratios(of, door_precision="doors_found/all_doors_found", precision="right/association_pairs"),
+        **means(of, "recall", "map_rmse_m", "landmarks_false", "duplicates", "landmarks_on_movers"),
+        **means(of, "pose_rmse_m", "nees", "metres", "periods"),
+        **ratios(of, contacts_per_100_m="contacts_100/metres"),
+        **means(of, "grid_iou", "landmarks"),
     }
 
 

@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from mecp_env.policies.setting import Setting
 
 QUICK = "active-quick-v1"
+MOST_MASKED = 0.1  # of the decisions of a policy, before it is told
 STEPS, TASK_STEPS = 3000, 1500  # of an episode
 READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.name}")}
 
@@ -182,6 +183,7 @@ class Evaluate(WithModules):
                 print_error(f"{len(evaluation.failures)} episodes failed: no result; the same command repeats them")
                 return FAILED
             done.append((setting, evaluation.rows()))
+            report_masked(evaluation)
         return done
 
     def _evaluated(self, setting: Setting, episodes: int, name: str) -> tuple[Evaluation, Path]:
@@ -218,6 +220,7 @@ class Evaluate(WithModules):
         from mecp_env.policies.report_table import overview, page
 
         rows = evaluation.rows()
+        report_masked(evaluation)
         if not rows:
             print_error("no building was finished by every policy: nothing to compare")
             return
@@ -271,6 +274,18 @@ def report(result: EpisodeResult | FailedUnit, done: int, total: int) -> None:
         print_error(f"failed: {result}")
     if not sys.stderr.isatty() and 10 * done // total > 10 * (done - 1) // total:
         print_error(f"{done} of {total} episodes")
+
+
+def report_masked(evaluation: Evaluation) -> None:
+    """Print which policies often chose rows that were not offered: their score is that of another policy."""
+    for name in dict.fromkeys(evaluation.policies):
+        figures = [result.figures for result in evaluation.results if result.task.policy == name]
+        chosen, masked = (sum(each[part] for each in figures) for part in ("decisions", "masked"))
+        if masked > MOST_MASKED * chosen:
+            print_error(
+                f"{name} chose an empty row in {masked / chosen:.0%} of its decisions; each became a drive to the "
+                "nearest goal, so its score is partly that of `nearest`; use masks"
+            )
 
 
 @dataclass(frozen=True)

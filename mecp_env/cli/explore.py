@@ -81,7 +81,7 @@ class Explore(WithModules):
         check_map(self.save_map, self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
         given = {"max_steps": self.steps, "start": self.start}
-        fields = {name: value for name, value in given.items() if value is not None} | options_of(policy)
+        fields = options_of(policy) | {name: value for name, value in given.items() if value is not None}
         env = gym.make(**building, estimator=self.estimator, **fields)
         recording = rerun_log(self.rerun, env.get_wrapper_attr("config").robot.period_s)
         env = env if recording is None else EveryStep(env, recording.look)

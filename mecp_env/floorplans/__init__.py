@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-from itertools import chain
 from pathlib import Path
 from typing import Any, Literal
 
 from shapely.errors import GEOSException
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.files import exists, read_bytes
+from mecp_env.core.files import exists, is_folder, read_bytes
 from mecp_env.core.settings import guess
 from mecp_env.floorplans.assemble import layout_of
 from mecp_env.floorplans.folder import ENDINGS, plan_files
@@ -26,6 +25,7 @@ from mecp_env.world.schema import Layout
 __all__ = ["PlanOptions", "load_plan", "plan_files"]
 
 Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
+OURS = Layout.model_fields.keys() - {"name", "description", "version"}  # fields that JSON of other kinds lacks
 READERS = {"map_server": read_map_server, "image": read_plain_image, "labelled": read_labelled_image}
 
 
@@ -57,7 +57,7 @@ def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
         return layout_of(READERS[found](path, options), options)
     document = decode_json(read_bytes(path, MAX_BYTES))
     foreign = of_json(document)
-    if foreign.startswith("this is") or (foreign and not document.keys() & Layout.model_fields.keys()):
+    if foreign.startswith("this is") or (foreign and not document.keys() & OURS):
         raise LayoutError(foreign)
     found = "houseexpo" if "verts" in document else "layout"
     if kind not in (None, found):
@@ -67,11 +67,11 @@ def _load(path: Path, kind: Kind | None, options: PlanOptions) -> Layout:
 
 def _kind_of(path: Path, kind: Kind | None) -> str:
     """`kind`, or the first of what the file can be by its ending. Raises LayoutError when it cannot be that."""
+    if is_folder(path):
+        raise LayoutError("a folder, where one plan is expected; name a file in it")
     possible = [name for name, endings in ENDINGS.items() if path.suffix.lower() in endings]
     if not possible:
-        known = ", ".join(dict.fromkeys(chain.from_iterable(ENDINGS.values())))
-        wrong = f"a plan file ends in {known}, given {path.suffix!r:.80}"
-        raise LayoutError((by_ending(path) or wrong) if exists(path) else "no such file or folder")
+        raise LayoutError(by_ending(path) if exists(path) else "no such file or folder")
     if kind not in (None, *possible):
         raise LayoutError(f"kind: {kind}, but by its ending the file is {' or '.join(possible)}")
     return kind or possible[0]

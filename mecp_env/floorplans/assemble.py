@@ -44,6 +44,7 @@ MAX_FACES = 2_500  # of a floor drawn as coarsely as that
 MANY_CORNERS = 900  # of a room
 WALL_M = 0.15  # thickness of the walls around the building
 MOST_STARTS = 4
+HALL_M2 = 2_000.0  # of floor per room: with more the scale is in doubt
 START_CLEAR_M = 0.4  # between a start and every wall, where there is room
 DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
 NEAR_M = 0.1  # a point this close to a floor is on it
@@ -56,11 +57,13 @@ def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:
     floor = plan.area if given <= MAX_VERTICES else _without_steps(plan.area)
     thin, coarse_m = _fitting(floor, plan.noise_m, MAX_THINNED)
     fits = given <= MANY_VERTICES and coarse_m == plan.noise_m
-    plan = _told(replace(plan, noise_m=coarse_m), plan.noise_m)
+    coarser = f"Large: walls are simplified to within {coarse_m:g} m." if coarse_m > plan.noise_m else ""
+    plan = _told(replace(plan, noise_m=coarse_m), coarser)
     read, area = _floors(floor if fits else thin, plan, options)
-    plan = replace(plan, description=f"{plan.description} {left_out(floor, area, options)}".strip())
     rooms = split(area, _doors(area, directions(area), plan, options), options)
     _require_rooms(plan.drawn, rooms.floors)
+    plan = _told(plan, left_out(floor, area, options))
+    plan = _told(plan, _doubtful_scale(area, len(rooms.floors)))
     try:
         return _layout(plan, area, rooms, [Polygon(hole) for hole in read.interiors])
     except LayoutError:  # a piece of furniture blocks a door by less than a pixel
@@ -79,11 +82,17 @@ def _fitting(floor: Polygon, noise_m: float, most: int) -> tuple[Polygon, float]
     )
 
 
-def _told(plan: FreeSpace, noise_m: float) -> FreeSpace:
-    """`plan`, whose description says how coarsely it is drawn where that is more than its `noise_m`; warns of it."""
-    if plan.noise_m == noise_m:
+def _doubtful_scale(area: Polygon, rooms: int) -> str:
+    """What of the size of the rooms speaks against metres, in words; or nothing."""
+    if area.area < HALL_M2 * rooms:
+        return ""
+    return f"Large: {area.area:.0f} m2 of floor and {rooms} room{'s' * (rooms > 1)}; check that its scale is in metres."
+
+
+def _told(plan: FreeSpace, said: str) -> FreeSpace:
+    """`plan` with a sentence in its description; warns of it. Nothing for an empty one."""
+    if not said:
         return plan
-    said = f"Large: walls are simplified to within {plan.noise_m:g} m."
     warnings.warn(f"{plan.name:.80}: {said}", PlanWarning, stacklevel=3)
     return replace(plan, description=f"{plan.description} {said}".strip())
 

@@ -14,6 +14,7 @@ from mecp_env.core.files import read_bytes
 
 SUPPORTED = "read are our JSON, HouseExpo JSON, map_server yaml with its image, PNG, PGM, BMP and TIFF"
 DRAW = "export it as a PNG with white floor and black walls, and read that with --resolution-m"
+OTHER_JSON = f"JSON of another kind; {SUPPORTED}: {DRAW}"
 AS_PNG = "save it as a PNG, and read that with --resolution-m"
 UNPACK = "unpack it, and name the plan in it, or the folder"
 MAP = "map it with mecp-env slam, whose folder has the map as yaml and picture"
@@ -52,6 +53,7 @@ BY_ENDING = {
     ".stl": ("a mesh", SAVE),
     ".glb": ("a 3-D scene (glTF)", SAVE),
     ".gltf": ("a 3-D scene (glTF)", SAVE),
+    ".lfs": ("a pointer of Git LFS in place of the file", "fetch the file with git lfs pull"),
 }
 BY_START = {  # bytes that a file begins with: the ending of its kind
     b"\xff\xd8\xff": ".jpg",
@@ -61,17 +63,21 @@ BY_START = {  # bytes that a file begins with: the ending of its kind
     b"\x1f\x8b": ".gz",
     b"%PDF": ".pdf",
     b"<svg": ".svg",
+    b"<?xml": ".svg",
+    b"version https://git-lfs": ".lfs",
     b"AC10": ".dwg",
 }
-GEOJSON_TYPES = ("FeatureCollection", "Feature", "GeometryCollection", "MultiPolygon", "Polygon")
+GEOJSON_FIELDS = {"features", "geometry", "geometries", "coordinates"}
 MAP_FIELDS = ("image", "resolution", "origin")
 PLAN_FIELDS = {"verts", "solids", "rooms", "starts"}  # JSON with one of them is meant to be a plan
 MAX_READ = 2_000_000  # bytes
 
 
 def by_ending(path: Path) -> str:
-    """What a file is by its ending, what is read instead, and how to convert it; empty for others."""
-    return _sentence(*BY_ENDING[path.suffix.lower()]) if path.suffix.lower() in BY_ENDING else ""
+    """What a file is by its ending, what is read instead, and how to convert it."""
+    if path.suffix.lower() in BY_ENDING:
+        return _sentence(*BY_ENDING[path.suffix.lower()])
+    return f"no plan by its ending, {path.suffix!r:.80}; {SUPPORTED}: {DRAW}; or, of a simulator, {SAVE}"
 
 
 def by_start(data: bytes) -> str:
@@ -86,13 +92,13 @@ def _sentence(what: str, remedy: str) -> str:
 
 def of_json(document: dict[str, Any]) -> str:
     """What a JSON document is that is neither a layout nor of HouseExpo, in a sentence; empty where it may be one."""
-    if document.get("type") in GEOJSON_TYPES:
+    if "type" in document and document.keys() & GEOJSON_FIELDS:
         return _sentence("GeoJSON", DRAW)
     if "proceduralParameters" in document or {"walls", "objects", "rooms"} <= document.keys():
         return _sentence("a house of ProcTHOR", SAVE)
     if document.keys() & PLAN_FIELDS:
         return ""
-    return f"JSON of another kind; {SUPPORTED}"
+    return OTHER_JSON
 
 
 def of_yaml(fields: Any) -> str:
@@ -118,7 +124,7 @@ def why_no_plan(path: Path) -> str:
 
 
 def _json_reason(document: Any) -> str:
-    return of_json(document) if isinstance(document, dict) else f"JSON of another kind; {SUPPORTED}"
+    return of_json(document) if isinstance(document, dict) else OTHER_JSON
 
 
 KINDS: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str], tuple[bytes, ...]]] = {

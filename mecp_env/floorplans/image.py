@@ -111,8 +111,8 @@ def read_image(path: Path) -> Image.Image:
         with warnings.catch_warnings(action="ignore"), Image.open(BytesIO(data), formats=FORMATS) as image:
             _check_header(image, most)
             check_content(data, image)
+            several = getattr(image, "is_animated", False)
             image.load()
-            return image
     except LayoutError as error:
         raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
     except Image.DecompressionBombError:
@@ -122,6 +122,9 @@ def read_image(path: Path) -> Image.Image:
     except DAMAGE as error:
         said = f"damaged, or no {KNOWN} of at most {MAX_PIXELS} pixels ({str(error).partition(' <')[0]:.120})"
         raise LayoutError(f"image: {path.name!r:.80}: {said}") from None
+    if several:
+        warnings.warn(f"image: {path.name!r:.80}: of several pictures the first is read", PlanWarning, stacklevel=4)
+    return image
 
 
 def _check_header(image: Image.Image, most: int) -> None:
@@ -129,12 +132,12 @@ def _check_header(image: Image.Image, most: int) -> None:
     if width * height > most:
         raise LayoutError(f"{width} x {height} pixels, at most {most} in all; {SMALLER}")
     if image.mode not in MODES:
-        raise LayoutError(f"mode {image.mode}, one of {', '.join(MODES)} (8 bits a channel)")
+        raise LayoutError(f"mode {image.mode}, one of {', '.join(MODES)}; save it with 8 bits per channel")
 
 
 def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:
     """Grey levels (h,w) 0-255 of an image, and where (h,w) it is more opaque than not."""
-    if image.mode == "P":
+    if image.mode == "P" or "transparency" in image.info:
         image = image.convert("RGBA" if "transparency" in image.info else "RGB")
     alpha = np.asarray(image.getchannel("A")) if "A" in image.mode else None
     image = image if image.mode == "L" else image.convert("L")  # the colours of a large image go first
@@ -190,5 +193,5 @@ def otsu(levels: NDArray[np.uint8]) -> int:
     with np.errstate(invalid="ignore", divide="ignore"):
         between = below * above * (sums / below - (sums[-1] - sums) / above) ** 2
     if not np.isfinite(between).any():
-        raise LayoutError("image: all its pixels have one grey level")
+        raise LayoutError("image: all its pixels have one grey level; free_above decides whether it is floor")
     return int(np.nanargmax(between))

@@ -41,7 +41,7 @@ def read_labelled_image(path: Path, options: PlanOptions) -> FreeSpace:
     labels = _labels(image)
     _check_closed(labels)
     placement = Placement(options.resolution_m)
-    area = floor_polygon(labels != WALL, placement)
+    area = floor_polygon(labels != WALL, placement, told=True)  # every room is required
     note = f"From {path.name}, labelled: {options.resolution_m:g} m per pixel."
     crossings, drawn = _crossings(labels, placement), _drawn(labels, placement)
     return FreeSpace(path.stem, note, area, placement.noise_m, crossings=crossings, drawn=drawn)

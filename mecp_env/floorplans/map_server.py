@@ -6,8 +6,8 @@ import math
 import re
 import warnings
 from collections import Counter
-from collections.abc import Hashable
-from pathlib import Path
+from collections.abc import Hashable, Sequence
+from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
 import numpy as np
@@ -102,6 +102,8 @@ def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> 
     doubts = []
     if sheet.mode == "raw" and sheet.negate:
         doubts.append("negate: true is left out in the mode raw, as in nav2; invert the picture if it is meant")
+    if (sheet.mode == "raw" or sheet.negate) and share[SAVED_UNKNOWN] > 0.0 and _marked(share) > SAVED_SHARE:
+        doubts.append(f"greys as map_saver saves in the mode trinary, negate 0 (given: {sheet.mode}, {sheet.negate:d})")
     if free[SAVED_UNKNOWN] and share[SAVED_UNKNOWN] > 0.0 and _is_saved(sheet, share):
         free[SAVED_UNKNOWN] = False
         said = f"is read as unknown, as map_saver means it, although free_thresh {sheet.free_thresh:g} makes it free"
@@ -118,14 +120,20 @@ def _is_saved(sheet: Sheet, share: Array) -> bool:
     """Whether a picture with these shares (256,) of grey levels looks as map_saver writes it: it has the mark of free
     cells, or no level but its marks.
     """
-    marked = share[SAVED_FREE:].sum() + share[0] + share[SAVED_UNKNOWN]
-    return sheet.mode == "trinary" and not sheet.negate and bool(share[SAVED_FREE:].any() or marked > SAVED_SHARE)
+    marked = bool(share[SAVED_FREE:].any()) or _marked(share) > SAVED_SHARE
+    return sheet.mode == "trinary" and not sheet.negate and marked
+
+
+def _marked(share: Array) -> float:
+    """The share of pixels with the marks of a map_saver in the mode trinary."""
+    return float(share[SAVED_FREE:].sum() + share[0] + share[SAVED_UNKNOWN])
 
 
 def _tell_moved(path: Path, given: str, image: Path) -> None:
     """Warn where the image is not at the path that the yaml file gives."""
     if _within(path.parent.resolve(), given) != image:
-        said = f"image: {shown(given)} is not there; {image.name!r:.80} beside the yaml file is read instead"
+        place = str(image.relative_to(path.parent.resolve()))
+        said = f"image: {shown(given)} is not there; {place!r:.80} beside the yaml file is read instead"
         warnings.warn(f"{path.name!r:.80}: {said}", PlanWarning, stacklevel=4)
 
 
@@ -173,16 +181,14 @@ def _sheet(path: Path) -> Sheet:
 
 
 def _beside(path: Path, given: str) -> Path:
-    """The image file, in the folder of the yaml file or below: as it is written, or else of that name beside the yaml,
-    with other capitals at last.
+    """The image file, in the folder of the yaml file or below: as it is written, or else of that name beside the yaml;
+    capitals and the kind of slashes count at last.
 
     Nothing outside that folder is read. Raises LayoutError where neither exists.
     """
-    folder, slashed = path.parent.resolve(), given.replace("\\", "/")
-    name = slashed.rstrip("/").rpartition("/")[2]
-    there = _names(folder)
-    alike = [one for one in there if one.casefold() == name.casefold()]
-    found = (_within(folder, written) for written in (given, slashed, name, *alike))
+    folder, parts = path.parent.resolve(), PurePosixPath(given.replace("\\", "/")).parts
+    name = "".join(parts[-1:])
+    found = (_within(folder, written) for written in (given, _spelt(folder, parts), _spelt(folder, parts[-1:])))
     if image := next(filter(None, found), None):
         return image
     if exists(folder / given) and (folder / given).is_file():
@@ -191,18 +197,28 @@ def _beside(path: Path, given: str) -> Path:
         )
     beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
     said = f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}"
-    raise LayoutError(said + (guess(name, there) or "; put the picture there, or correct the name"))
+    files = [one for one in _names(folder) if not one.endswith((".yaml", ".yml")) and _within(folder, one)]
+    raise LayoutError(said + (guess(name, files) or "; put the picture there, or correct the name"))
+
+
+def _spelt(folder: Path, parts: Sequence[str]) -> Path:
+    """The path of `parts` from `folder`, each with the capitals of what is there."""
+    for part in parts:
+        exact = folder / part
+        alike = (folder / name for name in _names(folder) if name.casefold() == part.casefold())
+        folder = exact if exists(exact) else next(alike, exact)
+    return folder
 
 
 def _names(folder: Path) -> list[str]:
-    """Those in a folder that are no yaml, in order; none where it cannot be listed."""
+    """What is in a folder, in order; none where it cannot be listed."""
     try:
-        return sorted(path.name for path in folder.iterdir() if path.suffix.lower() not in (".yaml", ".yml"))
-    except OSError:
+        return sorted(path.name for path in folder.iterdir())
+    except (OSError, ValueError):
         return []
 
 
-def _within(folder: Path, written: str) -> Path | None:
+def _within(folder: Path, written: str | Path) -> Path | None:
     """The file at a path from `folder`, with all links followed; None where it does not exist or lies outside."""
     try:
         image = (folder / written).resolve()

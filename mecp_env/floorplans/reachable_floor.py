@@ -63,7 +63,9 @@ def _inner(area: BaseGeometry, radius: float) -> BaseGeometry:
     """Where in `area` the centre of a circle may be."""
     inner = area.buffer(-radius, quad_segs=4)
     if inner.is_empty:
-        raise LayoutError(f"no floor is wide enough for a radius of {ROBOT_RADIUS_M} m")
+        raise LayoutError(
+            f"no floor is wide enough for a radius of {ROBOT_RADIUS_M} m; check the scale, and that floor is bright"
+        )
     return inner
 
 

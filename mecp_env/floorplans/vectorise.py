@@ -24,6 +24,7 @@ SPECK_CELLS = 4
 LEAST_NOISE_M = 0.03
 OUTSIDE_EDGE, OUTSIDE_WITHIN = 0.9, 0.1  # of the edge is floor, and so much of its area again is closed off within it
 FRAMED_WITHIN = 1.0  # the same where there is a frame around the floor, as walls around a large room are
+ROOM_M2 = 4.0  # a piece of floor of this size or more may be a room
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,19 +50,19 @@ class Placement:
 def floor_polygon(free: Bools, placement: Placement, told: bool = False) -> Polygon:
     """The largest connected floor of the mask `free` (h,w), row 0 at the top, in m.
 
-    Warns where it seems to be the outside of a building, unless a doubt about `free` was `told`. Raises
-    LayoutError when there is none, and when there is more than can be worked on in a moment.
+    Warns where it seems to be the outside of a building or other parts may be rooms, unless a doubt about `free` was
+    `told`. Raises LayoutError when there is none, and when there is more than can be worked on in a moment.
     """
     rows, columns = np.flatnonzero(free.any(axis=1)), np.flatnonzero(free.any(axis=0))
     if not len(rows):
-        raise LayoutError("image: no pixel is floor")
+        raise LayoutError("image: no pixel is floor; check free_thresh, negate and mode of its yaml, or free_above")
     top, bottom, left, right = rows[0], rows[-1] + 1, columns[0], columns[-1] + 1
     side = _pooled_side(int((bottom - top) * (right - left)), placement.resolution_m)
     pooled = _pooled(free[top:bottom, left:right][::-1], side)
-    largest = _largest(pooled)
-    if not told:
-        framed = free.shape != (bottom - top, right - left)
-        _tell_outside(largest, pooled, FRAMED_WITHIN if framed else OUTSIDE_WITHIN)
+    largest, others_m2 = _largest(pooled, (side * placement.resolution_m) ** 2)
+    framed = free.shape != (bottom - top, right - left)
+    if not told and (doubt := _outside(largest, pooled, framed) or _closed_off(others_m2)):
+        warnings.warn(f"image: {doubt}", PlanWarning, stacklevel=3)
     floor = _without_specks(largest)
     polygon = _contour(np.pad(floor, 1))
     corner = np.array([left, len(free) - bottom], np.float64)  # column and row from below
@@ -88,27 +89,48 @@ def _pooled(free: Bools, side: int) -> Bools:
     return np.asarray(counts < side, np.bool_)
 
 
-def _largest(free: Bools) -> Bools:
-    """The largest 4-connected part of `free`."""
-    parts, _ = ndimage.label(free)
-    sizes = np.bincount(parts.ravel())
+def _largest(free: Bools, cell_m2: float) -> tuple[Bools, list[float]]:
+    """The largest 4-connected part of `free`, and the sizes in m2 of others that may be rooms.
+
+    What is around it, as the margin of a picture, is no room.
+    """
+    parts, count = ndimage.label(free)
+    sizes = np.bincount(parts.ravel(), minlength=count + 1)
     sizes[0] = 0
-    largest: Bools = parts == int(np.argmax(sizes))
-    return largest
+    chosen = int(np.argmax(sizes))
+    rooms = [chosen, *(part for part in np.flatnonzero(sizes * cell_m2 >= ROOM_M2).tolist() if part != chosen)]
+    number = np.zeros(count + 1, np.int32)
+    number[rooms] = np.arange(1, len(rooms) + 1)
+    boxes: list[Any] = ndimage.find_objects(number[parts]) if len(rooms) > 1 else []
+    others = [part for part, box in zip(rooms, boxes, strict=False) if part != chosen and not _is_around(box, boxes[0])]
+    largest: Bools = parts == chosen
+    return largest, [float(sizes[part] * cell_m2) for part in others]
 
 
-def _tell_outside(floor: Bools, free: Bools, share: float) -> None:
-    """Warn where the largest part of a picture lies along its edge and around other parts: outside of a building.
+def _is_around(outer: tuple[slice, slice], inner: tuple[slice, slice]) -> bool:
+    return all(o.start < i.start and i.stop < o.stop for o, i in zip(outer, inner, strict=True))
 
-    The parts within have at least so large a `share` of its area.
+
+def _outside(floor: Bools, free: Bools, framed: bool) -> str:
+    """That the largest part of a picture is along its edge and around other parts, as the outside is; or nothing.
+
+    Within a frame only free parts count, since a corridor may go around a solid core.
     """
     edge = np.concatenate([floor[0], floor[-1], floor[:, 0], floor[:, -1]])
     if edge.mean() < OUTSIDE_EDGE:
-        return
-    within = int(np.count_nonzero(ndimage.binary_fill_holes(floor) & free & ~floor))
-    if within >= share * np.count_nonzero(floor):
-        said = "the floor read lies along the edge or frame of the picture and around closed parts, as the outside does"
-        warnings.warn(f"image: {said}; paint the outside black, or cut the margin off", PlanWarning, stacklevel=4)
+        return ""
+    within = ndimage.binary_fill_holes(floor) & ~floor & (free | (not framed))
+    if np.count_nonzero(within) < (FRAMED_WITHIN if framed else OUTSIDE_WITHIN) * np.count_nonzero(floor):
+        return ""
+    said = "the floor read lies along the edge or frame of the picture and around closed parts, as the outside does"
+    return f"{said}; paint the outside black, cut the margin off, or swap black and white"
+
+
+def _closed_off(sizes_m2: list[float]) -> str:
+    """How much floor no opening leads to, in words; or nothing."""
+    if not sizes_m2:
+        return ""
+    return f"closed parts as large as a room are left out: {len(sizes_m2)}, of {sum(sizes_m2):.0f} m2 in all"
 
 
 def _without_specks(floor: Bools) -> Bools:

@@ -23,25 +23,26 @@ from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
+from mecp_env.learning.files import check_finite
 from mecp_env.learning.fits import Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
+from mecp_env.policies.registry import statistics_of
 
 MOST_BYTES, MOST_UNPACKED = 500_000_000, 1_000_000_000  # of a model file, and of the parts of a zip
-ALGORITHMS = {  # module of the policy or of the buffer that a zip names -> "module:class" of the algorithm
+ALGORITHMS = {  # the first module or setting of these that a zip names -> "module:class" of the algorithm
     "sb3_contrib.common.maskable": "sb3_contrib:MaskablePPO",
     "sb3_contrib.common.recurrent": "sb3_contrib:RecurrentPPO",
-    "sb3_contrib.qrdqn": "sb3_contrib:QRDQN",
-    "sb3_contrib.tqc": "sb3_contrib:TQC",
-    "stable_baselines3.dqn": "stable_baselines3:DQN",
-    "stable_baselines3.sac": "stable_baselines3:SAC",
-    "stable_baselines3.td3": "stable_baselines3:TD3",
-}
-ON_POLICY = {  # the first of these settings that a zip has
-    "clip_range": "stable_baselines3:PPO",
+    "n_quantiles": "sb3_contrib:QRDQN",
+    "top_quantiles_to_drop_per_net": "sb3_contrib:TQC",
+    "delta_std_schedule": "sb3_contrib:ARS",
     "cg_max_steps": "sb3_contrib:TRPO",
+    "exploration_fraction": "stable_baselines3:DQN",
+    "target_noise_clip": "stable_baselines3:TD3",
+    "clip_range": "stable_baselines3:PPO",
     "vf_coef": "stable_baselines3:A2C",
+    "policy_delay": "sb3_contrib:CrossQ",
+    "target_entropy": "stable_baselines3:SAC",
 }
 ANY = "stable_baselines3:PPO"
-STATISTICS = ("{stem}_vecnormalize.pkl", "vecnormalize.pkl")  # of `VecNormalize`, beside the file
 Network = Callable[[Any], Any]  # from an observation, or its parts by name, each with a first axis of 1, to the output
 
 
@@ -133,6 +134,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     module, name = class_of(path).split(":")
     try:
         algorithm = getattr(importlib.import_module(module), name).load(path, device="cpu")
+        check_finite(algorithm.policy)
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
     seen = algorithm.observation_space
@@ -157,18 +159,17 @@ def class_of(path: Path) -> str:
         with zipfile.ZipFile(path) as archive:
             check_archive(archive, MOST_UNPACKED)
             data = json.loads(archive.read("data"))
-        named = str(data["policy_class"]["__module__"]), str(data.get("rollout_buffer_class"))
+        named = " ".join([str(data["policy_class"]["__module__"]), str(data.get("rollout_buffer_class")), *data])
     except Exception as error:  # damaged bytes may raise anything
-        raise WeightError(f"{path}: not a model file of Stable-Baselines3: {error!r}") from None
-    by_module = (found for mark, found in ALGORITHMS.items() if any(mark in text for text in named))
-    by_setting = (found for setting, found in ON_POLICY.items() if setting in data)
-    return next(by_module, None) or next(by_setting, ANY)
+        raise WeightError(
+            f"{path}: not a model file of Stable-Baselines3, as model.save writes it: {error!r}"
+        ) from None
+    return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
 
 
 def preparation(path: Path) -> Callable[[Any], Any]:
     """What makes a batch for a trusted model file, with the `VecNormalize` beside it if any. Raises `WeightError`."""
-    places = (path.with_name(name.format(stem=path.stem)) for name in STATISTICS)
-    place = next((place for place in places if place.is_file()), None)
+    place = statistics_of(path)
     if place is None:
         return batched
     try:
@@ -210,9 +211,10 @@ class ExportedModel:
 
 def check_output(output: Any, count: int, name: str) -> None:
     """Raise `ConfigError` for an output (n,) that is no choice among `count` actions; with 0, that is no velocities."""
-    if not np.isfinite(output).all() or output.size not in ((1, count) if count else (2,)):
+    wrong_choice = count and output.size == 1 and output[0] not in range(count)
+    if wrong_choice or not np.isfinite(output).all() or output.size not in ((1, count) if count else (2,)):
         expected = f"{count} numbers, or the number of the action" if count else "2 numbers"
-        raise ConfigError(f"policy: {name} returned {output.size} numbers ({output[:3]}), expected {expected}")
+        raise ConfigError(f"policy: {name} returned {output.size} numbers ({output[:3]}), expected {expected}, finite")
 
 
 def load_script(path: Path, trust: bool = False) -> ModelPolicy:
@@ -256,7 +258,10 @@ def script_network(path: Path) -> Network:
     try:
         module = torch.jit.load(str(path), map_location="cpu").eval()
     except Exception as error:  # damaged bytes may raise anything
-        raise ConfigError(f"policy: {path}: cannot be loaded as TorchScript: {error!r:.200}") from None
+        raise ConfigError(
+            f"policy: {path}: cannot be loaded as TorchScript, which torch.jit.script(module).save writes: "
+            f"{error!r:.120}"
+        ) from None
 
     def run(batch: Any) -> Any:
         arrays = batch if isinstance(batch, dict) else {"": batch}

@@ -14,7 +14,7 @@ from gymnasium import spaces
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import merge
 from mecp_env.core.carriers import Bools
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.settings import guess
 from mecp_env.episode.actions import make_actions
 from mecp_env.episode.observation_arrays import GOALS
@@ -113,15 +113,18 @@ def same_array(theirs: Space, ours: Space, last: bool = False) -> bool:
 
 
 def nearest_array(theirs: Space, actions: str) -> str:
-    """The observation that is one array and nearest to a space by its axes and its size, as a keyword and a space."""
+    """The observation that is one array and nearest to a space by its frames, its axes and its size, in words."""
     shape = theirs.shape or ()
+    size = int(np.prod(shape))
 
-    def distance(settings: dict[str, Any]) -> tuple[int, int]:
+    def distance(settings: dict[str, Any]) -> tuple[bool, int, int]:
         ours = space_of(actions, **settings).shape or ()
-        return abs(len(ours) - len(shape)), abs(int(np.prod(ours)) - int(np.prod(shape)))
+        return size % int(np.prod(ours)) > 0, abs(len(ours) - len(shape)), abs(int(np.prod(ours)) - size)
 
     near = min(one_array(), key=distance)
-    return f"observation={near}: {space_of(actions, **near)}"
+    frames, rest = divmod(size, int(np.prod(space_of(actions, **near).shape or ())))
+    stacked = f", of which it takes {frames} frames: stack them in a class (docs/own-parts.md)"
+    return f"observation={near}: {space_of(actions, **near)}{stacked if frames > 1 and not rest else ''}"
 
 
 def dict_settings(theirs: spaces.Dict, actions: str, name: str) -> dict[str, Any]:
@@ -181,21 +184,27 @@ class ModelPolicy:
         One that was trained on tables without goals on known ground never chooses one, unless there is no other. Raises
         `ConfigError` for an observation without what it was trained on.
         """
-        if self.actions == "velocity":
-            return np.clip(np.asarray(self.model.predict(self._inputs(observation), None), np.float32), -1.0, 1.0)
-        if self.actions == "discrete" or self.fit.format != "dict":
-            return int(self.model.predict(self._inputs(observation), mask))
         seen = self._inputs(observation)
+        if self.actions == "velocity":
+            return np.clip(np.asarray(self._predict(seen, None), np.float32), -1.0, 1.0)
+        if self.actions == "discrete" or self.fit.format != "dict":
+            return int(self._predict(seen, mask))
         allowed = np.asarray(goal_masks(observation) if mask is None else mask, np.bool_)
         mine = allowed & goal_masks(self._known(observation))
         if not mine.any() and allowed.any():
             return int(allowed.argmax())
-        return int(self.model.predict(seen, mine))
+        return int(self._predict(seen, mine))
 
-    def check_space(self, space: Any) -> None:
-        """Raise `ConfigError` for the observation space of an environment without the parts of the model."""
-        if self.parts is not None:
-            self._inputs({part: np.zeros(box.shape, np.float32) for part, box in space.spaces.items()})
+    def _predict(self, seen: Any, mask: Any) -> Any:
+        try:
+            return self.model.predict(seen, mask)
+        except MecpError:
+            raise
+        except Exception as error:  # a model of the user may raise anything
+            what = {part: np.shape(values) for part, values in seen.items()} if isinstance(seen, dict) else seen.shape
+            lines = str(error).strip().split("\n")
+            reason = lines[-1] if lines[-1].startswith("RuntimeError") else lines[0]  # below a trace of TorchScript
+            raise ConfigError(f"policy: {self.name} cannot act on the observation {what}: {reason:.200}") from error
 
     def _inputs(self, observation: Any) -> Any:
         if self.fit.format == "dict":

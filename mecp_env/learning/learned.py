@@ -69,11 +69,22 @@ def load_file(path: Path, trust: bool) -> ModelPolicy:
     """The policy in a model file of another library. Raises `ConfigError` for another kind of file."""
     if path.suffix == ".safetensors":
         raise ConfigError(f"policy: {path} is the weights alone, name the folder that contains them")
-    if path.suffix == ".pt":
+    parts = parts_of(path)
+    script = path.suffix in (".pt", ".pth") or any(part.endswith("/constants.pkl") for part in parts)
+    if script and "data" not in parts:
         return load_script(path, trust)
-    if path.suffix == ".zip" or zipfile.is_zipfile(path):
+    if path.suffix == ".zip" or parts:
         return load_zip(path, trust)
     raise ConfigError(f"policy: {path} is no trained policy; {EXPECTED}")
+
+
+def parts_of(path: Path) -> list[str]:
+    """The names of the parts of an archive; none of another file."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return archive.namelist()
+    except Exception:  # damaged bytes may raise anything
+        return []
 
 
 def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Path]:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from dataclasses import replace
 
 import numpy as np
 
@@ -27,13 +28,16 @@ FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on
 FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
 STEP_M, STEPS = 0.1, 20  # driven, from whose direction the meaning of headings is seen, so often at least
 LONGEST_M = 1e5  # of the path that is looked at
-AGREE, DISAGREE = 0.9, 0.5  # a resultant of so much between headings and directions says that they belong together
+AGREE = 0.95  # a resultant of so much between headings and directions says that they belong together,
+BETTER = 0.5  # if it misses 1 by less than so much of what it does for headings in rad
+ROUND = 0.5  # a resultant of the directions below: the robot drove in all of them
 MEANINGS = {
     "in degrees, taken as such": math.pi / 180.0,
     "clockwise, turned round": -1.0,
     "clockwise in degrees, turned round": -math.pi / 180.0,
 }
 REACH_M = 2.0  # no laser is mounted farther from the robot's centre
+CENTRED = "the laser is taken as centred on the robot: the file has no mounting pose (--config.sensor.x-m gives one)"
 WAY_OUT = "--clock received takes the order of the file in place of the stamps (in a bag, the times of receipt)"
 
 
@@ -53,6 +57,7 @@ def assemble(
     Raises `LogError` where nothing is left.
     """
     counts, found = recording.counts, len(recording.sweeps)
+    _leave_out_still(recording)
     set_stamps(recording, clock)
     readings = _readings(recording, max_range_m, field_of_view_deg)
     sweeps = recording.sweeps
@@ -110,10 +115,22 @@ def _check_clocks(recording: Recording, t: Array, odometry: Track, kept: Bools) 
     recording.notes.append(spans)
 
 
+def _leave_out_still(recording: Recording) -> None:
+    """Leave out poses of the sweeps that are all the same, where those between them move."""
+    if recording.odometry.moves and not _carried(recording.sweeps).moves:
+        recording.sweeps = [replace(sweep, T_odom_robot=None, T_odom_laser=None) for sweep in recording.sweeps]
+
+
+def _carried(sweeps: list[Sweep]) -> Track:
+    """The poses of the sweeps that carry one."""
+    carried = [(sweep.t, sweep.T_odom_robot) for sweep in sweeps if sweep.T_odom_robot is not None]
+    return Track([t for t, _ in carried], [pose for _, pose in carried])
+
+
 def _odometry(recording: Recording, sweeps: list[Sweep]) -> Track:
     """The poses that the sweeps carry, or those between them."""
-    poses = [sweep.T_odom_robot for sweep in sweeps if sweep.T_odom_robot is not None]
-    return Track([sweep.t for sweep in sweeps], poses) if len(poses) == len(sweeps) else recording.odometry
+    carried = _carried(sweeps)
+    return carried if len(carried.t) == len(sweeps) else recording.odometry
 
 
 def _in_radians(track: Track, notes: list[str]) -> Track:
@@ -122,25 +139,39 @@ def _in_radians(track: Track, notes: list[str]) -> Track:
     poses = poses[(abs(poses) < FARTHEST_M).all(axis=1)]
     driven = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)) if len(poses) > 1 else np.zeros(1)
     rows = np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), LONGEST_M), STEP_M)))
-    if len(rows) <= STEPS or _agreement(poses[rows], 1.0) > DISAGREE:
-        return track
-    agreement = {meaning: _agreement(poses[rows], factor) for meaning, factor in MEANINGS.items()}
-    meaning = max(agreement, key=lambda meaning: agreement[meaning])
-    if agreement[meaning] < AGREE:
+    meaning = _meaning(poses[rows]) if len(rows) > STEPS else None
+    if meaning is None:
         return track
     notes.append(f"warning: by where the robot drives, the headings of the odometry are {meaning}")
     factors = np.array([1.0, 1.0, MEANINGS[meaning]])
     return Track(track.t, [np.asarray(pose, np.float64) * factors for pose in track.poses], track.order)
 
 
-def _agreement(poses: Array, factor: float) -> float:
-    """How constant the angle is between headings, times a factor, and directions of motion, forwards or backwards: 1 is
-    always the same, 0 any.
+def _meaning(poses: Array) -> str | None:
+    """What the headings of poses (n,3) seem to be; None where they are counter-clockwise in rad, or it is not clear.
+
+    Motion backwards counts like motion forwards, unless the robot came round: then most of it is forwards.
     """
     steps = np.diff(poses[:, :2], axis=0)
+    direction = np.arctan2(steps[:, 1], steps[:, 0])
+    for power in (1, 2) if abs(np.exp(1j * direction).mean()) < ROUND else (2,):
+        stated = _agreement(poses, direction, 1.0, power)
+        if stated >= AGREE:
+            return None
+        fits = {meaning: _agreement(poses, direction, factor, power) for meaning, factor in MEANINGS.items()}
+        meaning = max(fits, key=lambda meaning: fits[meaning])
+        if fits[meaning] >= AGREE and 1.0 - fits[meaning] < BETTER * (1.0 - stated):
+            return meaning
+    return None
+
+
+def _agreement(poses: Array, direction: Array, factor: float, power: int) -> float:
+    """How constant the angle is between headings, times a factor, and directions of motion (n-1,): 1 is always the
+    same, 0 any; with `power` 2 forwards or backwards.
+    """
     heading, turn = factor * poses[:-1, 2], factor * np.diff(poses[:, 2])
     middle = heading + 0.5 * np.remainder(turn + math.pi, 2.0 * math.pi) - 0.5 * math.pi
-    return float(abs(np.exp(2j * (np.arctan2(steps[:, 1], steps[:, 0]) - middle)).mean()))
+    return float(abs(np.exp(power * 1j * (direction - middle)).mean()))
 
 
 def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> tuple[Array, Track]:
@@ -152,6 +183,7 @@ def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> t
     stated = np.zeros(3) if recording.T_robot_laser is None else recording.T_robot_laser
     pairs = [(s.T_odom_robot, s.T_odom_laser) for s in sweeps if s.T_odom_laser is not None]
     if not pairs:
+        recording.notes += [CENTRED] * (recording.T_robot_laser is None and not recording.mounts)
         return _near(stated, counts), recording.reference
     T_robot, T_laser = (np.array(poses, np.float64) for poses in zip(*pairs, strict=True))
     offsets = between(T_robot, T_laser)
@@ -166,7 +198,7 @@ def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> t
 
 def _near(T_robot_laser: Array, counts: Counter[str]) -> Array:
     """The mounting pose; zero for one that is none."""
-    if np.isfinite(T_robot_laser).all() and (abs(T_robot_laser[:2]) <= REACH_M).all():
+    if (abs(T_robot_laser) <= (REACH_M, REACH_M, 2.0 * math.pi)).all():
         return np.array([*T_robot_laser[:2], math.remainder(float(T_robot_laser[2]), 2.0 * math.pi)])
     counts["impossible mounting pose, taken as centred"] += 1
     return np.zeros(3)

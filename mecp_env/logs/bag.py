@@ -11,17 +11,21 @@ from typing import Any
 
 import numpy as np
 
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
 from mecp_env.logs.bag_chunks import check_chunks
 from mecp_env.logs.carmen import MOST_BEAMS
-from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, planar, transform
-from mecp_env.logs.readings import POSE_BYTES, Budget, Geometry, Recording, Sweep
+from mecp_env.logs.clock import note_delay
+from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, driven, planar, transform
+from mecp_env.logs.readings import POSE_BYTES, Budget, Geometry, Recording, Sweep, Track
 
-SCAN, ODOMETRY = "sensor_msgs/msg/LaserScan", "nav_msgs/msg/Odometry"
+SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
+ODOMETRY = "nav_msgs/msg/Odometry"
 FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FRAME_TOPICS = ("/tf", "/tf_static")
 REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
+SUFFIXES = (".bag", ".db3", ".mcap")
 MOST_LASERS = 8
 LEVEL = math.cos(math.radians(5.0))  # a laser that is tilted more does not measure level
 Choice = Sequence[str]
@@ -35,11 +39,12 @@ class BagLog:
     recording: Recording
     frames: Frames
     robot_frame: str = ""
+    speeds: Track = field(default_factory=Track)  # m/s, m/s, rad/s of the messages with odometry
     lasers: list[str] = field(default_factory=list)  # their frames, in the order of `Sweep.laser`
 
     def scan(self, message: Any, received: float) -> None:
         """A sweep. Raises `ValueError` for a damaged one."""
-        ranges = np.array(message.ranges, np.float64)
+        ranges = _ranges(message)
         least, most = float(message.range_min), float(message.range_max)
         least = least if math.isfinite(least) else 0.0
         view = float(message.angle_min), _step(message)
@@ -47,6 +52,8 @@ class BagLog:
             raise ValueError
         geometry = Geometry(len(ranges), *view, least, most if most > least else math.inf)
         laser = self._laser(_name(message.header.frame_id))
+        off = abs(view[0] + (len(ranges) - 1) * view[1] - message.angle_max) > 2.0 * abs(view[1])
+        self.recording.counts["scans whose last beam is not at their angle_max"] += off
         self.recording.add(Sweep(_stamp(message.header, received), ranges, geometry, order=received, laser=laser))
 
     def _laser(self, frame: str) -> int:
@@ -66,8 +73,10 @@ class BagLog:
         """A pose of the robot by its wheels."""
         T = transform(message.pose.pose.position, message.pose.pose.orientation)
         self.robot_frame = self.robot_frame or _name(message.child_frame_id)
-        self.recording.budget.take(POSE_BYTES)
-        self.recording.odometry.add(_stamp(message.header, received), planar(T), received)
+        self.recording.budget.take(2 * POSE_BYTES)
+        stamp, twist = _stamp(message.header, received), message.twist.twist
+        self.recording.odometry.add(stamp, planar(T), received)
+        self.speeds.add(stamp, np.array([twist.linear.x, twist.linear.y, twist.angular.z]), received)
 
     def tf(self, message: Any, received: float) -> None:
         """Where frames are in their parents; a damaged one is left out."""
@@ -88,8 +97,15 @@ class BagLog:
 
 
 def is_bag(path: Path) -> bool:
-    """True for the folder or file of a bag, by its name."""
-    return path.suffix in (".bag", ".db3", ".mcap") or (path / "metadata.yaml").is_file()
+    """True for the file of a bag, by its name, and for a folder of some."""
+    return bool(_files(path))
+
+
+def _files(path: Path) -> list[Path]:
+    """What to read: a file, the folder of a ROS 2 bag, or all files of one that has no description."""
+    if (path / "metadata.yaml").is_file():
+        return [path]
+    return [file for file in (sorted(path.iterdir()) if path.is_dir() else [path]) if file.suffix in SUFFIXES]
 
 
 def read_bag(
@@ -105,11 +121,13 @@ def read_bag(
     except ImportError:
         raise LogError('to read bags takes the package rosbags: pip install "mecp_env[logs]"') from None
     recording = Recording(path.name, budget=Budget.of(_size(path)))
-    check_chunks(path, recording.budget.most)
+    for file in _files(path):
+        check_chunks(file, recording.budget.most)
     log, kinds = BagLog(recording, Frames(recording.budget)), dict[str, str]()
     try:
-        with reader.AnyReader([path], default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
-            kinds |= {connection.topic: connection.msgtype for connection in bag.connections}
+        with reader.AnyReader(_files(path), default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
+            used = [connection for connection in bag.connections if connection.msgcount] or bag.connections
+            kinds |= {connection.topic: connection.msgtype for connection in used}
             _read(bag, log, _takers(kinds, log, scan_topics, odometry_topics, several))
     except LogError:
         raise
@@ -120,6 +138,7 @@ def read_bag(
         log.recording.counts["bag cut short"] += 1
     _choose_frame(log, frame)
     _find_odometry(log, kinds)
+    note_delay(log.recording)
     _mount(log)
     return log.recording
 
@@ -158,7 +177,7 @@ def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
 
 def _topics(kinds: dict[str, str], kind: str, asked: Choice, option: str) -> list[str]:
     """The topics of a type: as asked, or the only one; none without any. Raises `LogError`."""
-    found = sorted(topic for topic, its in kinds.items() if its == kind)
+    found = sorted(topic for topic, its in kinds.items() if its in (kind, ECHOES if kind == SCAN else kind))
     for topic in asked:
         if topic not in found:
             raise LogError(f"{option}: no {kind} on {topic!r:.80}{guess(topic, found)}; topics: {_listed(kinds)}")
@@ -170,6 +189,14 @@ def _topics(kinds: dict[str, str], kind: str, asked: Choice, option: str) -> lis
 
 def _listed(kinds: dict[str, str]) -> str:
     return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))[:600] or "none"
+
+
+def _ranges(message: Any) -> Array:
+    """(B,) m of a scan; the first echo of each beam, where there are several."""
+    beams = message.ranges
+    if message.__msgtype__ == ECHOES:
+        beams = [beam.echoes[0] if len(beam.echoes) else math.nan for beam in beams]
+    return np.array(beams, np.float64)
 
 
 def _name(frame: Any) -> str:
@@ -201,16 +228,22 @@ def _choose_frame(log: BagLog, frame: str | None) -> None:
 
 def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
     """Odometry from the frames, where no message has it; a note of where it was looked for."""
-    edge = log.frames.odometry([log.lasers[laser] for laser in {sweep.laser for sweep in log.recording.sweeps}])
-    if log.recording.odometry.t:
+    recording = log.recording
+    edge = log.frames.odometry([log.lasers[laser] for laser in {sweep.laser for sweep in recording.sweeps}])
+    if recording.odometry.moves:
         return
-    if edge is not None:
-        log.recording.odometry, log.robot_frame = log.frames.moving[edge], edge[1]
-        log.recording.notes.append(f"odometry is that of the frames {edge[0]} -> {edge[1]}")
+    if log.speeds.moves:
+        recording.odometry = driven(log.speeds)
+        recording.notes.append("odometry is made of the speeds in its messages, whose poses never change")
+        return
+    if edge is not None and (log.frames.moving[edge].moves or not recording.odometry.t):
+        recording.odometry, log.robot_frame = log.frames.moving[edge], edge[1]
+        recording.notes.append(f"odometry is that of the frames {edge[0]} -> {edge[1]}")
+    if recording.odometry.t:
         return
     looked = f"topics: {_listed(kinds)}; frames: {log.frames.listed()}"
     read = f"no message of type {ODOMETRY} that can be read, and no frame that moves in odom"
-    log.recording.notes.append(f"no odometry: {read}; {looked}")
+    recording.notes.append(f"no odometry: {read}; {looked}")
 
 
 def _mount(log: BagLog) -> None:
@@ -225,8 +258,13 @@ def _mount(log: BagLog) -> None:
     elif known:
         recording.T_robot_laser = planar(known[used[0]])
     elif used:
+        recording.T_robot_laser = np.zeros(3)
         recording.notes.append(_centred(log, log.lasers[used[0]], robot))
     recording.notes += _tilted(log, known)
+    loose = {name for laser in used for name in log.frames.moving_below(log.lasers[laser], robot)}
+    recording.notes += [
+        f"warning: {name!r:.80} moves on the robot with the laser: its first pose counts" for name in loose
+    ]
 
 
 def _centred(log: BagLog, laser: str, robot: str) -> str:

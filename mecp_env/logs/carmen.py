@@ -11,6 +11,7 @@ All but PARAM end with the stamp of the message, the host, and the stamp of the 
 
 from __future__ import annotations
 
+import codecs
 import gzip
 import io
 import math
@@ -34,6 +35,7 @@ PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
 MAGIC = b"\x1f\x8b"  # of a packed file, whatever its name: browsers unpack files and keep the name
 BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
 MOST_BEAMS = 20_000
+NAMED = 5  # kinds of other lines that an error names
 MOST_LINES = 10**6  # and one more for each byte of the file
 OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
 MOUNT = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
@@ -51,6 +53,7 @@ class CarmenLog:
     mount: dict[str, float] = field(default_factory=dict)
     line: int = 0
     cut: bool = False  # this line has no end
+    others: dict[str, None] = field(default_factory=dict)  # the first kinds of lines that are not read
 
     @property
     def counts(self) -> Counter[str]:
@@ -63,6 +66,7 @@ class CarmenLog:
                 READERS[words[0]](self, words)
             else:
                 self.counts["lines of another laser" if words[0] in OTHER_LASERS else "lines of other messages"] += 1
+                self.others |= {words[0]: None} if len(self.others) < NAMED else {}
         except LogError:
             raise
         except (ValueError, IndexError):
@@ -165,7 +169,7 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
 def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
     """The number, whether it has no end, and the words of each line that is neither empty nor a comment."""
     number, rest = 0, b""
-    for piece in _unpacked(data, counts) if packed else _pieces(io.BytesIO(data)):
+    for piece in unpacked(data, counts) if packed else _pieces(io.BytesIO(data)):
         *lines, rest = (rest + piece).split(b"\n")
         for place, line in enumerate(lines, start=number + 1) if any(lines) else ():
             if line and (words := _words(line)):
@@ -177,7 +181,7 @@ def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[in
 
 def _words(line: bytes) -> list[str]:
     """Those of a line; none of a comment."""
-    words = line.decode("latin-1").split()
+    words = line.removeprefix(codecs.BOM_UTF8).decode("latin-1").split()
     return [] if words and words[0].startswith("#") else words
 
 
@@ -186,7 +190,7 @@ def _pieces(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
         yield piece
 
 
-def _unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
+def unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
     """The pieces of a packed file; of one that is cut short, what there is. Raises `LogError`."""
     left = most = BASE_BYTES + FACTOR * len(data)
     try:
@@ -218,7 +222,8 @@ def _message(log: CarmenLog, asked: str | None) -> str:
 
 
 def _found(log: CarmenLog) -> str:
-    return ", ".join((f"{log.line} lines", *(f"{n} {what}" for what, n in log.counts.items())))
+    others = [f"the first of others: {', '.join(f'{word!r:.20}' for word in log.others)}"] if log.others else []
+    return ", ".join((f"{log.line} lines", *(f"{n} {what}" for what, n in log.counts.items()), *others))
 
 
 def _number(word: str) -> float:

@@ -15,6 +15,8 @@ from mecp_env.logs.readings import Recording, Sweep
 
 Clock = Literal["message", "received"]
 LATEST_S = 1e11  # no stamp is later: the year 5138
+LEAST_UNIT_S = 2e-9  # the least unit of a stamp is ns
+LATE_S = 0.3  # messages are received later than their stamps by times that differ by less
 USEFUL_SHARE = 0.75  # of the stamps ascend, and
 DISTINCT_SHARE = 0.02  # of them differ, at least; otherwise the order of the file counts
 UNUSABLE = "stamps of the messages are equal, missing or not ascending: the order of the file counts"
@@ -26,6 +28,7 @@ def set_stamps(recording: Recording, clock: Clock) -> None:
 
     Raises `LogError` without any sweep.
     """
+    _take_seconds(recording)
     carried = all(sweep.T_odom_robot is not None for sweep in recording.sweeps)
     useful = _all_useful(recording, carried)
     if clock == "received" or not useful:
@@ -37,6 +40,20 @@ def set_stamps(recording: Recording, clock: Clock) -> None:
     if not found:
         raise LogError(f"no scan that can be used ({listed(recording)})")
     recording.sweeps = found
+
+
+def note_delay(recording: Recording) -> None:
+    """Note where scans and odometry of a bag are stamped by clocks that differ, as their times of receipt show."""
+    stamps = [np.array([s.t for s in recording.sweeps]), np.array(recording.odometry.t)]
+    received = [np.array([s.order for s in recording.sweeps]), np.array(recording.odometry.order)]
+    if not all(len(t) and are_useful(t) for t in stamps):
+        return
+    scans, odometry = (float(np.median(after - t)) for after, t in zip(received, stamps, strict=True))
+    if abs(odometry - scans) > LATE_S:
+        recording.notes.append(
+            f"warning: by the times of receipt, the clocks of scans and odometry differ by {odometry - scans:.2f} s: "
+            "--clock received takes those times"
+        )
 
 
 def _all_useful(recording: Recording, carried: bool) -> bool:
@@ -78,6 +95,21 @@ def ascending_rows(t: Array, equal: bool = False) -> Ints:
     while rows and before[rows[-1]] >= 0:
         rows.append(int(before[rows[-1]]))
     return np.array(rows[::-1], np.int64)
+
+
+def _take_seconds(recording: Recording) -> None:
+    """Stamps that are too late for s are in ms, us or ns."""
+    stamps = abs(_stamps(recording.sweeps))
+    late, unit = float(np.median(stamps[np.isfinite(stamps)])) if np.isfinite(stamps).any() else 0.0, 1.0
+    while late * unit >= LATEST_S and unit > LEAST_UNIT_S:
+        unit *= 1e-3
+    if unit == 1.0:
+        return
+    recording.notes.append(f"stamps are taken in units of {unit:.0e} s")
+    recording.sweeps = [replace(sweep, t=unit * sweep.t) for sweep in recording.sweeps]
+    for track in (recording.odometry, recording.reference):
+        track.t = [unit * t for t in track.t]
+    recording.relations = recording.relations * (unit, unit, 1.0, 1.0, 1.0)
 
 
 def _take_order(recording: Recording) -> None:

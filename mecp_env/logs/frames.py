@@ -11,10 +11,13 @@ import numpy as np
 
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
+from mecp_env.core.se2 import chained
+from mecp_env.logs.clock import ascending_rows
 from mecp_env.logs.readings import POSE_BYTES, Budget, Track
 
 Transform = Array  # (4,4)
 ROBOT_FRAMES = ("base_link", "base_footprint")
+LOOSE = 0.05  # of a transform, in m and of unit vectors: a frame that changes more is not fixed
 MOST_CHAIN = 32  # frames between the laser and the robot
 MOST_NAMES = 1000  # frames in a bag
 Edge = tuple[str, str]  # parent, child
@@ -31,12 +34,15 @@ class Frames:
     budget: Budget
     parents: dict[str, tuple[str, Transform]] = field(default_factory=dict)  # frame -> its parent, pose in it
     moving: dict[Edge, Track] = field(default_factory=dict)  # poses of robots in their odometry frames
+    loose: set[str] = field(default_factory=set)  # those that move in their parents
 
     def add(self, parent: str, child: str, T_parent_child: Transform, stamp: float, order: float) -> None:
         """Take in the pose of a frame in its parent. Raises `LogError` for too many frames."""
         if child not in self.parents and len(self.parents) >= MOST_NAMES:
             raise LogError(f"it has more than {MOST_NAMES} frames")
-        self.parents.setdefault(child, (parent, T_parent_child))
+        _, first = self.parents.setdefault(child, (parent, T_parent_child))
+        if abs(T_parent_child - first).max() > LOOSE:
+            self.loose.add(child)
         if _is_odometry(parent) and not _is_odometry(child):
             self._follow((parent, child), stamp, T_parent_child, order)
         elif _is_odometry(child) and _is_robot(parent):
@@ -67,6 +73,11 @@ class Frames:
         common = next((name for name in above[0] if name in above[1]), None)
         return None if common is None else np.linalg.inv(above[1][common]) @ above[0][common]
 
+    def moving_below(self, laser: str, robot: str) -> list[str]:
+        """Those that move between the robot's frame and the laser's, with which it is."""
+        above = [name for name, _ in self._chain(laser)]
+        return [name for name in above[: above.index(robot)] if name in self.loose] if robot in above else []
+
     def _chain(self, frame: str) -> Iterator[tuple[str, Transform]]:
         """The frame and those above it, each with the pose of the first in it."""
         T = np.eye(4)
@@ -80,6 +91,13 @@ class Frames:
     def listed(self) -> str:
         """All frames with their parents, in words."""
         return ", ".join(f"{parent} -> {child}" for child, (parent, _) in self.parents.items())[:600] or "none"
+
+
+def driven(speeds: Track) -> Track:
+    """The poses after driving at these speeds (3,) m/s, m/s, rad/s from each stamp to the next."""
+    rows = ascending_rows(np.array(speeds.t, np.float64))
+    t, order, speed = (np.array(values)[rows] for values in (speeds.t, speeds.order, speeds.poses))
+    return Track(t.tolist(), list(chained(speed[:-1] * np.diff(t)[:, None])), order.tolist())
 
 
 def _is_odometry(frame: str) -> bool:

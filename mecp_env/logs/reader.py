@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from pathlib import Path
 
 from pydantic import Field
@@ -19,9 +20,20 @@ from mecp_env.logs.tables import TABLES, read_table
 
 CARMEN = (".log", ".clf", ".carmen")
 FORMATS = (
-    f"{', '.join(CARMEN)} (CARMEN, also packed as {PACKED}), .npz, .csv, .dat (BreezySLAM), .bag, .db3, .mcap "
-    "or the folder of a ROS 2 bag"
+    f"{', '.join(CARMEN)} (CARMEN), .csv, .tsv, .dat (BreezySLAM), these also packed as {PACKED}, .npz, .bag, .db3, "
+    ".mcap or the folder of a bag"
 )
+FOREIGN = {  # how files begin that are no logs as they are
+    b"version https://git-lfs": "a pointer of Git LFS: `git lfs pull` fetches the file",
+    b"<!doctype": "a web page",
+    b"<html": "a web page",
+    b"\xff\xfe": "text in UTF-16: save it as UTF-8",
+    b"\xfe\xff": "text in UTF-16: save it as UTF-8",
+    b"pk\x03\x04": "packed by zip: unpack it first",
+    b"\xfd7zxz": "packed by xz: unpack it first",
+    b"bzh": "packed by bzip2: unpack it first",
+    b"\x28\xb5\x2f\xfd": "packed by zstd: unpack it first",
+}
 
 
 class ReadOptions(Settings):
@@ -69,20 +81,31 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
     """What is in a file, by the reader of its format."""
     if not exists(path):
         raise LogError("no such file")
+    suffix = Path(path.name.lower().removesuffix(PACKED)).suffix
+    if path.is_file() and suffix != ".npz":
+        _check_start(path)
     if is_bag(path):
         asked = (options.odometry_topic,) if options.odometry_topic else ()
         return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
     if path.is_dir():
-        raise LogError("a folder without metadata.yaml, so no ROS 2 bag; name a file")
-    suffix = Path(path.name.lower().removesuffix(PACKED)).suffix
+        raise LogError("a folder without a bag; name a file")
     if suffix in CARMEN:
         _check_options(options, "scan_frame", "odometry_topic")
         return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
-    suffix = path.suffix.lower()
     if suffix not in (".npz", *TABLES):
         raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
     _check_options(options, "scan_topic", "scan_frame", "odometry_topic")
     return read_archive(path) if suffix == ".npz" else read_table(path, options.field_of_view_deg)
+
+
+def _check_start(path: Path) -> None:
+    """Raise `LogError` for a file that begins as another format."""
+    start = b""
+    with suppress(OSError), path.open("rb") as file:  # its reader says what is wrong
+        start = file.read(32).lstrip().lower()
+    for mark, what in FOREIGN.items():
+        if start.startswith(mark):
+            raise LogError(f"not a log as it is, but {what}")
 
 
 def _check_options(options: ReadOptions, *of_bags: str) -> None:

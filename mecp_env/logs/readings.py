@@ -57,11 +57,15 @@ class Geometry(NamedTuple):
 
     @classmethod
     def even(cls, angles: Array, fault: str, unit_rad: float = 1.0, max_range_m: float = math.inf) -> Geometry:
-        """That of angles (B,) in some unit. Raises `LogError` that says `fault` where they are not evenly spaced."""
-        even = np.linspace(angles[0], angles[-1], len(angles))
-        if abs(angles - even).max() > UNEVEN * abs(even[1] - even[0]):
-            raise LogError(fault)
-        return cls(len(angles), unit_rad * float(even[0]), unit_rad * float(even[1] - even[0]), 0.0, max_range_m)
+        """That of angles (B,) in some unit, which may jump by a turn.
+
+        Raises `LogError` that says `fault` where they are not evenly spaced.
+        """
+        for rad in (unit_rad * angles, np.unwrap(unit_rad * angles)):
+            even = np.linspace(rad[0], rad[-1], len(rad))
+            if abs(rad - even).max() <= UNEVEN * abs(even[1] - even[0]):
+                return cls(len(rad), float(even[0]), float(even[1] - even[0]), 0.0, max_range_m)
+        raise LogError(fault)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,6 +99,11 @@ class Track:
         self.t.append(t)
         self.poses.append(pose)
         self.order.append(order)
+
+    @property
+    def moves(self) -> bool:
+        """True where the poses are not all the same."""
+        return len(self.poses) > 1 and bool(np.ptp(np.array(self.poses), axis=0).any())
 
 
 @dataclass(slots=True, eq=False)
@@ -130,6 +139,7 @@ class Recording:
 
 
 LONGEST_M = 1000.0  # no laser measures farther
+NEAREST_M = 0.02  # nor nearer: such readings are codes of errors, as of Hokuyo lasers
 LIMITS_M = (8.191, 16.0, 30.0, 32.0, 50.0, 80.0, 81.91)  # common readings of lasers where nothing returns
 BELOW_LIMIT = 0.99  # of the largest range: from here on a reading is no return
 FEWEST_BEAMS, NARROWEST_DEG, MOST_TURNS = 8, 10.0, 3.0
@@ -157,7 +167,7 @@ def clean(
         budget.take(8 * len(sweeps) * len(order))
     ranges = _on_beams(sweeps, geometry, order, counts)
     limit = max_range_m or _limit(ranges, geometry.max_range_m)
-    _blank(ranges, limit, geometry.min_range_m, counts)
+    _blank(ranges, limit, max(geometry.min_range_m, NEAREST_M), counts)
     _check_distances(ranges, limit, geometry.min_range_m)
     return Readings(ranges, bearings, limit)
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import io
 import math
+import re
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -14,45 +16,53 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
-from mecp_env.logs.carmen import MOST_BEAMS, MOST_BYTES
+from mecp_env.logs.carmen import MAGIC, MOST_BEAMS, MOST_BYTES, PACKED, unpacked
 from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
 
-TABLES = (".csv", ".dat")
-STAMPS = ("t", "time", "stamp", "timestamp")
-DEGREES = ("heading_deg", "theta_deg", "yaw_deg")
-HEADINGS = ("heading", "theta", "yaw", "heading_rad", "theta_rad", "yaw_rad", "odom_theta", *DEGREES)
-POSES = (("x", "x_m", "odom_x"), ("y", "y_m", "odom_y"), HEADINGS)
+TABLES = (".csv", ".tsv", ".dat")
+STAMPS = {"t", "time", "stamp", "timestamp"}
+HEADINGS = {"heading", "theta", "yaw", "th"}
+POSES = ({"x"}, {"y"}, HEADINGS)
+PREFIXES = {"odom", "odometry", "pose", "pos", "position", "robot", "field", "header"}  # words of names without meaning
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
+UNITS |= {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 LONGEST_LINE = 2**20
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
+TURN_DEG = 360.0
 MOST_TICKS = 1e18  # of a counter, and microseconds of a stamp
 FIRST_RANGE, DAT_VIEW_DEG, DAT_AHEAD_M, DAT_LIMIT_M = 24, 240.0, 0.145, 5.6  # of its URG-04LX
 
 
 @dataclass(frozen=True, slots=True)
 class Columns:
-    """Where a row has what; `pose` is empty without odometry, `stamp` None without stamps."""
+    """Which column has what, and in which unit; `pose` is empty without odometry, `stamp` None without stamps."""
 
     stamp: int | None
     pose: tuple[int, ...]
-    first: int  # of the readings, up to the last column
+    readings: list[int]
+    units: Array  # of all columns: m, rad or s
     geometry: Geometry
-    heading_unit_rad: float = 1.0
 
     def sweep(self, row: Array, order: int) -> Sweep:
         """That of a row of numbers."""
+        row = row * self.units
         t = math.nan if self.stamp is None else float(row[self.stamp])
-        pose = row[list(self.pose)] * (1.0, 1.0, self.heading_unit_rad) if self.pose else None
-        return Sweep(t, row[self.first :].copy(), self.geometry, pose, order=float(order))
+        pose = row[list(self.pose)] if self.pose else None
+        return Sweep(t, row[self.readings], self.geometry, pose, order=float(order))
 
 
 def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     """What is in a table. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
     recording = Recording(path.name, budget=Budget.of(len(data)))
-    (_read_csv if path.suffix.lower() == ".csv" else _read_dat)(data, recording, field_of_view_deg)
+    if data.startswith(MAGIC):
+        data = b"".join(unpacked(data, recording.counts))
+    is_dat = path.name.lower().removesuffix(PACKED).endswith(".dat")
+    (_read_dat if is_dat else _read_csv)(data, recording, field_of_view_deg)
     if not recording.sweeps:
-        raise LogError(f"no row that can be read ({recording.counts['damaged rows']} damaged rows)")
+        found = f"no row that can be read ({recording.counts['damaged rows']} damaged rows)"
+        raise LogError("; ".join((found, *recording.notes)))
     return recording
 
 
@@ -60,7 +70,7 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
     """All rows behind the names."""
     rows = _rows(data)
     _, names = next(rows, (0, []))
-    columns = _columns([name.strip("\"' ").lower() for name in names], view_deg)
+    columns = _columns(names, view_deg, recording.notes)
     for number, words in rows:
         row = _numbers(words)
         if row is None or len(row) != len(names):
@@ -98,12 +108,16 @@ def _driven(before: Array | None, wheels: list[Array]) -> Array:
 
 
 def _rows(data: bytes) -> Iterator[tuple[int, list[str]]]:
-    """The number and the words of each row, with whatever separates them; comments are left out."""
+    """The number and the words of each row, with whatever separates them; comments are left out.
+
+    Where no comma does, one in a number is its decimal point.
+    """
     for number, line in enumerate(iter(partial(io.BytesIO(data).readline, LONGEST_LINE), b""), start=1):
-        text = line.decode("utf-8-sig", "replace").strip()
-        separator = next((mark for mark in (";", ",", "\t") if mark in text), None)
+        text = line.decode("utf-8-sig", "replace").replace('"', "").strip(" \r\n")
+        separator = next((mark for mark in (";", "\t", ",") if mark in text), None)
         if text and not text.startswith("#"):
-            yield number, text.rstrip(separator).split(separator)
+            text = text if separator in (",", None) else text.replace(",", ".")
+            yield number, text.removesuffix(separator or "").split(separator)
 
 
 def _numbers(words: list[str]) -> Array | None:
@@ -114,30 +128,45 @@ def _numbers(words: list[str]) -> Array | None:
         return None
 
 
-def _columns(names: list[str], view_deg: float | None) -> Columns:
-    """Where a table with these names has what. Raises `LogError`."""
-    stamp, *places = (next((names.index(name) for name in known if name in names), None) for known in (STAMPS, *POSES))
+def _columns(names: list[str], view_deg: float | None, notes: list[str]) -> Columns:
+    """Where a table with these names has what; a note lists the columns that are not read. Raises `LogError`."""
+    parsed = [_parsed(name) for name in names]
+    words = [word for word, _ in parsed]
+    stamp, *places = (next((at for at, word in enumerate(words) if word in known), None) for known in (STAMPS, *POSES))
     pose = tuple(place for place in places if place is not None)
-    first = 1 + max((place for place in (stamp, *pose) if place is not None), default=-1)
-    if len(pose) not in (0, len(POSES)) or first != len(pose) + (stamp is not None) or not first:
+    if len(pose) not in (0, len(POSES)) or (stamp is None and not pose):
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
-    if not 2 <= len(names) - first <= MOST_BEAMS:
-        raise LogError(f"first row has {len(names) - first} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
-    return Columns(stamp, pose, first, _geometry(names[first:], view_deg), _heading_unit(names[:first]))
+    stem = Counter(map(_stem, names)).most_common(1)[0][0]
+    readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in (stamp, *pose)]
+    if not 2 <= len(readings) <= MOST_BEAMS:
+        raise LogError(f"first row has {len(readings)} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
+    left = [name for at, name in enumerate(names) if at not in (stamp, *pose, *readings)]
+    notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
+    units = np.array([unit for _, unit in parsed])
+    return Columns(stamp, pose, readings, units, _geometry([names[at] for at in readings], view_deg))
 
 
-def _heading_unit(names: list[str]) -> float:
-    """rad of the unit that the column of headings has by its name."""
-    return math.radians(1.0) if set(DEGREES) & set(names) else 1.0
+def _parsed(name: str) -> tuple[str, float]:
+    """What a name says without words such as `odom`, and its unit in m, rad or s."""
+    words = re.findall("[a-z]+", name.lower())
+    unit = UNITS.get(words[-1], 1.0) if len(words) > 1 else 1.0
+    words = words[:-1] if len(words) > 1 and words[-1] in UNITS else words
+    return " ".join(word for word in words if word not in PREFIXES), unit
+
+
+def _stem(name: str) -> str:
+    """A name without its number; the names of readings have the same."""
+    numbered = re.search(r"\d+\W*$", name)
+    return "" if name and _numbers([name]) is not None else name[: numbered.start()] if numbered else f"{name} "
 
 
 def _geometry(names: list[str], view_deg: float | None) -> Geometry:
     """That of bearings in degrees, or of names that are none, whose beams are spread over the field of view."""
     degrees = _numbers(names)
-    if degrees is None or not np.isfinite(degrees).all():
-        view = math.radians(view_deg or 0.0)
-        if not view:
-            raise LogError("names of readings are no bearings in degrees: --field-of-view-deg is needed")
-        return Geometry(len(names), -0.5 * view, view / (len(names) - 1))
-    fault = "columns of readings: bearings that are not evenly spaced"
-    return Geometry.even(degrees, fault, unit_rad=math.radians(1.0))
+    if degrees is not None and np.isfinite(degrees).all() and np.ptp(degrees) <= TURN_DEG:
+        fault = "columns of readings: bearings that are not evenly spaced"
+        return Geometry.even(degrees, fault, unit_rad=math.radians(1.0))
+    if view_deg is None:
+        raise LogError("names of readings are no bearings in degrees within a turn: --field-of-view-deg is needed")
+    view = math.radians(view_deg)
+    return Geometry(len(names), -0.5 * view, view / (len(names) - 1))

@@ -27,7 +27,7 @@ from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.comparison import Row, compare, returns_of, rows_of, seeds_of, timing
 from mecp_env.policies.registry import Policy, make_policy, policy_checksum, source_of
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Info, make_rooms, run_episode, run_policy
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Info, make_rooms, run_episode, run_policy, try_action
 from mecp_env.policies.setting import Setting, plan_names
 from mecp_env.render.film import Film
 from mecp_env.render.screen import thumbnail
@@ -127,11 +127,11 @@ class Evaluation:
 
     def check_buildings(self, policies: Sequence[Policy]) -> None:
         """Raise `MecpError` for a wrong setting, a first plan that cannot be read, too many generated buildings, or a
-        policy whose observation is not that of the setting.
+        policy whose first action fails.
         """
-        for policy in policies:
+        for name, policy in zip(self.policies, policies, strict=True):
             env = make_rooms(self.setting, policy)
-            getattr(policy, "check_space", lambda space: None)(env.observation_space)  # it may know what it reads
+            try_action(env, policy, name)
             env.close()
         if self.setting.layout or not policies:
             return

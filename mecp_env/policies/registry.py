@@ -6,6 +6,7 @@ The interface of a policy, and the columns of its observation.
 from __future__ import annotations
 
 import importlib
+import os
 import re
 import sys
 from collections.abc import Iterator
@@ -17,8 +18,8 @@ import numpy as np
 
 from mecp_env import TRAINED
 from mecp_env.core.carriers import Bools, Ints
-from mecp_env.core.errors import ConfigError, MecpError
-from mecp_env.core.files import read_json
+from mecp_env.core.errors import ActionError, ConfigError, MecpError
+from mecp_env.core.files import exists, is_folder, read_json
 from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
 from mecp_env.core.settings import guess, shown
@@ -75,9 +76,12 @@ OURS = tuple(EXPLORERS)
 LEARNED = ("ppo", "maskable_ppo", "recurrent_ppo")  # the algorithms of `mecp-env train`
 WEIGHTS = Path(__file__).parents[1] / "learning" / "weights"
 MOST_BYTES = 1_000_000  # of policy.json
-BESIDE = (".json", "_vecnormalize.pkl")  # what belongs to a model file, after its stem
+NAMED = re.compile(r"vec_?normalize", re.IGNORECASE)  # in the names of statistics of VecNormalize
+STATISTICS, MOST_STATISTICS = b"VecNormalize", 100_000_000  # what their pickle contains, and its most bytes
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
 CLASS_PATH = re.compile(r"([A-Za-z_][\w.]*):([A-Za-z_]\w*)")
+FILE_PATH = re.compile(r"(.+)\.py:(\w+)")
+INTERFACE = ("actions", "reset", "act")
 
 
 def make_policy(name: str, trust: bool = False) -> Policy:
@@ -86,23 +90,29 @@ def make_policy(name: str, trust: bool = False) -> Policy:
     Raises `ConfigError` for an unknown name, with a suggestion, for a trained policy without PyTorch, and for a model
     file of Stable-Baselines3 without `trust`: it may run arbitrary code while it is loaded.
     """
-    found = CLASS_PATH.fullmatch(EXPLORERS.get(name, name))
+    found = CLASS_PATH.fullmatch(EXPLORERS.get(name, source_of(name)))
     if found:
         return import_policy(found[1], found[2])
-    if name in LEARNED or (name and Path(name).exists()):
+    if name in LEARNED or (name and exists(Path(name))):
         return load_learned(name, trust)
     known = policy_names()
-    raise ConfigError(f"policy: {name!r:.80}, expected one of {', '.join(known)}, or a run folder{guess(name, known)}")
+    beside = [str(path) for path in Path(name).parent.glob("*")] if name and is_folder(Path(name).parent) else []
+    raise ConfigError(
+        f"policy: {name!r:.80}: no such file or run folder, expected one of {', '.join(known)}, module:Class, or "
+        f"file.py:Class below the working directory{guess(name, [*known, *beside])}"
+    )
 
 
 @contextmanager
 def calls_of(name: str, fault: str = "failed", plain: tuple[type[Exception], ...] = ()) -> Iterator[None]:
     """What a policy of the user raises in `reset` or `act` becomes a `ConfigError` that names it and the line.
 
-    `fault`: what the policy did, in words; errors of the types `plain` need no line.
+    `fault`: what the policy did, in words; errors of the types `plain` need no line. Wrong actions name it, too.
     """
     try:
         yield
+    except ActionError as error:
+        raise ConfigError(f"policy: {name!r:.80} returned a wrong {error}") from None
     except MecpError:
         raise
     except SystemExit as error:
@@ -133,20 +143,57 @@ def register_policy(name: str, path: str) -> None:
 
 
 def source_of(name: str) -> str:
-    """What `make_policy` makes a policy from in any process: the class of a registered name, else the name itself."""
+    """What `make_policy` makes a policy from in any process: the class of a registered name, else the name itself.
+
+    `folder/file.py:Class`, below the working directory, is the class `folder.file:Class`.
+    """
+    if found := FILE_PATH.fullmatch(name):
+        return f"{os.path.relpath(found[1]).replace(os.sep, '.')}:{found[2]}"
     return name if name in OURS else EXPLORERS.get(name, name)
 
 
 def policy_checksum(name: str) -> str:
     """Of the file that holds the class, the weights or the model of a policy; "" for those of the package."""
     found, path = CLASS_PATH.fullmatch(source_of(name)), Path(name)
-    paths = [path, *(path.with_name(path.stem + ending) for ending in BESIDE), path.with_name("vecnormalize.pkl")]
+    paths: list[Path | None] = [path / "policy.json"]  # which contains the checksum of the weights
     if found:
         paths = [Path(str(importlib.import_module(found[1]).__file__))]
-    elif not path.is_file():
-        paths = [path / "policy.json"]  # which contains the checksum of the weights
-    data = [path.read_bytes() for path in paths if path.is_file()]
+    elif path.is_file():
+        exported = path.suffix in (".pt", ".pth", ".onnx")
+        paths = [path, path.with_suffix(".json"), None if exported else statistics_of(path)]
+    data = [path.read_bytes() for path in paths if path is not None and path.is_file()]
     return checksum(b"".join(data)) if data else ""
+
+
+def statistics_of(model: Path) -> Path | None:
+    """The file with the statistics of `VecNormalize` that belongs to a model file in its folder; None without one.
+
+    It has the name of the model and the word "vecnormalize" in any place, or only the word. Raises `ConfigError` where
+    such statistics have a name that belongs to no model: without them the score would be wrong, and nobody would know.
+    """
+    found = statistics_in(model.parent)
+    for stem in (stem_of(model), ""):
+        if stem in found:
+            return found[stem]
+    models = {stem_of(path) for path in model.parent.iterdir() if path.suffix != ".pkl"}
+    unknown = [path.name for stem, path in found.items() if stem not in models]
+    if unknown:
+        raise ConfigError(
+            f"policy: {model}: beside it are the statistics {', '.join(unknown)}; name those of this model "
+            f"{model.stem}_vecnormalize.pkl, and remove others"
+        )
+    return None
+
+
+def statistics_in(folder: Path) -> dict[str, Path]:
+    """The files with statistics of `VecNormalize` in a folder, by name or content, under their `stem_of`."""
+    files = [path for path in sorted(folder.glob("*.pkl")) if path.is_file() and path.stat().st_size <= MOST_STATISTICS]
+    return {stem_of(path): path for path in files if NAMED.search(path.stem) or STATISTICS in path.read_bytes()}
+
+
+def stem_of(path: Path) -> str:
+    """The letters and digits of a file's name without its suffix and the word "vecnormalize"."""
+    return re.sub(r"[\W_]", "", NAMED.sub("", path.stem))
 
 
 def training_hours(name: str) -> float | None:
@@ -169,16 +216,19 @@ def import_policy(module: str, class_name: str) -> Policy:
         sys.path.append(here)
     with calls_of(name, "cannot be constructed", (ImportError, AttributeError, TypeError)):
         policy: Policy = getattr(importlib.import_module(module), class_name)()
-    missing = [part for part in ("actions", "reset", "act") if not hasattr(policy, part)]
+        missing = [part for part in INTERFACE if not hasattr(policy, part)]
     if missing:
-        raise ConfigError(f"policy: {name!r} has no {missing[0]!r}, which every policy needs")
+        raise ConfigError(
+            f"policy: {name!r} has no {', '.join(map(repr, missing))}; every policy has actions ('goal', 'discrete' or "
+            "'velocity'), reset(seed) and act(observation, mask)"
+        )
     return policy
 
 
 def load_learned(name: str, trust: bool = False) -> Policy:
     """The trained policy of a name, a run folder or a file; only this loads PyTorch."""
     if Path(name).suffix == ".py":
-        raise ConfigError(f"policy: {name!r:.80} is source code; name a class in it, as {Path(name).stem}:MyPolicy")
+        raise ConfigError(f"policy: {name!r:.80} is source code; name a class in it, as {Path(name).name}:MyPolicy")
     module, _, load = TRAINED.get(Path(name).suffix, TRAINED[""]).partition(":")
     try:
         policy: Policy = getattr(importlib.import_module(module), load)(name, trust)

@@ -11,16 +11,18 @@ import gymnasium as gym
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
+from mecp_env.config import EnvConfig
 from mecp_env.core.budget import budget_m
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import shown
 from mecp_env.episode.observations import COV_MAX
 from mecp_env.policies.coverage_curve import CoverageCurve
-from mecp_env.policies.registry import Policy, ended, make_policy
+from mecp_env.policies.registry import Policy, calls_of, ended, make_policy
 from mecp_env.policies.setting import Setting
 
 MASKS = "action_masks"
 LEVELS = (0.90, 0.99)
+SELECTED = ("layout", "estimator", "max_steps")  # fields that no policy selects
 COMPLETE_COVERAGE = 0.95
 NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
 LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
@@ -93,6 +95,7 @@ class EpisodeEnd:
 
     terminated: bool = False
     decisions: int = 0
+    masked: int = 0  # of these, rows that were not offered: another goal replaced each
     act_s: float = 0.0
     info: Info = field(default_factory=lambda: {"diverged": False})  # of the last action
 
@@ -120,17 +123,34 @@ def make_rooms(setting: Setting, policy: Policy, episode: int = 0) -> Env:
 def options_of(policy: Policy) -> dict[str, Any]:
     """The fields of the configuration that a policy needs: its actions, and its `settings`.
 
-    Raises `ConfigError` for settings with other actions, or that are no fields.
+    Raises `ConfigError` for settings with other actions, that are no fields, or that every evaluation selects.
     """
-    given = getattr(policy, "settings", {})
+    name = str(getattr(policy, "name", type(policy).__name__))
+    with calls_of(name, "has settings that cannot be read"):
+        given, actions = getattr(policy, "settings", {}), policy.actions
     if not isinstance(given, Mapping):
-        raise ConfigError(f"policy: settings {shown(given)}, expected a dict of the fields of EnvConfig")
-    settings = dict(given)
-    if settings.get("actions", policy.actions) != policy.actions:
+        raise ConfigError(f"policy: {name!r:.80}: settings {shown(given)}, expected a dict of the fields of EnvConfig")
+    if given.get("actions", actions) != actions:
         raise ConfigError(
-            f"policy: settings of actions {settings['actions']!r:.40}, but its `actions` are {policy.actions!r:.40}"
+            f"policy: {name!r:.80}: settings of actions {shown(given['actions'])}, but its `actions` are "
+            f"{shown(actions)}"
         )
-    return {**settings, "actions": policy.actions}
+    if selected := [field for field in SELECTED if field in given]:
+        raise ConfigError(f"policy: {name!r:.80}: settings of {', '.join(selected)}, which the evaluation selects")
+    fields = {**given, "actions": actions}
+    try:
+        EnvConfig.build(fields)
+    except ConfigError as error:
+        raise ConfigError(f"policy: {name!r:.80}: settings: {error}") from None
+    return fields
+
+
+def try_action(env: Env, policy: Policy, name: str) -> None:
+    """One action of a policy, before many episodes. Raises `ConfigError` that names it where that fails."""
+    observation, _ = env.reset(seed=0)
+    with calls_of(name):
+        policy.reset(0)
+        env.step(policy.act(observation, masks_of(env)()))
 
 
 def masks_of(env: Env) -> Callable[[], Any]:
@@ -167,6 +187,7 @@ def run_policy(
         end.act_s += time.thread_time() - start
         end.decisions += 1
         observation, _, end.terminated, truncated, end.info = env.step(action)
+        end.masked += end.info["event"] == "masked"
         ended = end.terminated or truncated
         if not drives:
             on_step(end.info)
@@ -189,6 +210,7 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
         "terminated": float(end.terminated),
         "diverged": float(end.info["diverged"]),
         "decisions": float(end.decisions),
+        "masked": float(end.masked),
         "reward": log.reward,
         "pose_error_mean_m": float(np.mean(log.pose_errors_m)),
         "log_det_mean": float(np.mean(log.log_dets)),

@@ -7,8 +7,9 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import claims, common
+from benchmarks import claims, tables
 from benchmarks.claim_units import draw_inside, lines_of_sight
+from benchmarks.common import RESULTS
 from benchmarks.records import Course
 from mecp_env.slam.pipeline import SlamPipeline
 
@@ -34,8 +35,8 @@ def test_a_claim_holds_where_its_whole_interval_says_so(above: bool, low: float,
 
 
 def test_every_claim_names_figures_of_the_committed_results() -> None:
-    figures = json.loads((common.RESULTS / "claims.json").read_text())["figures"]
-    flat = common.flatten(figures)
+    figures = json.loads((RESULTS / "claims.json").read_text())["figures"]
+    flat = tables.flatten(figures)
     assert {name for claim in claims.CLAIMS for name in (claim.figure, *claim.beside)} <= flat.keys()
     page = claims.report(figures)
     for claim in claims.CLAIMS:

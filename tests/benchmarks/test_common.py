@@ -14,6 +14,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import common
 from benchmarks.common import Gate, Options
+from mecp_env.core import intervals
 from mecp_env.core.work_units import Shard
 
 GATES = (
@@ -26,7 +27,7 @@ GATES = (
 FIGURES = {
     "scan": {"us": 10.0},
     "steps_per_s": 2000.0,
-    "complete": common.share([True] * 10),
+    "complete": intervals.share([True] * 10),
     "rmse_m": 0.02,
     "crowd": 1.2,
 }
@@ -46,27 +47,27 @@ def test_every_benchmark_has_figures_and_gates_and_a_row_in_the_results(name: st
 
 def test_the_interval_of_a_mean_covers_it_about_95_times_in_100() -> None:
     rng = np.random.default_rng(1)
-    runs = [common.estimate(rng.normal(3.0, 2.0, 40)) for _ in range(200)]
+    runs = [intervals.estimate(rng.normal(3.0, 2.0, 40)) for _ in range(200)]
     covered = np.mean([run["low"] <= 3.0 <= run["high"] for run in runs])
     assert 0.89 <= covered <= 0.98
 
 
 def test_the_interval_of_a_share_has_a_width_when_all_succeed() -> None:
-    all_of_ten = common.share([True] * 10)
+    all_of_ten = intervals.share([True] * 10)
     assert all_of_ten["value"] == 1.0
     assert all_of_ten["high"] == pytest.approx(1.0)
     assert 0.65 < all_of_ten["low"] < 0.8
 
 
 def test_a_ratio_weighs_runs_by_their_size() -> None:
-    assert common.ratio([9, 0], [10, 1])["value"] == pytest.approx(9 / 11)
+    assert intervals.ratio([9, 0], [10, 1])["value"] == pytest.approx(9 / 11)
 
 
 def test_an_empty_sample_gives_no_figure() -> None:
-    assert common.estimate([])["value"] is None
-    assert common.estimate([float("nan")])["value"] is None
-    assert common.share([])["value"] is None
-    assert common.ratio([0], [0])["value"] is None
+    assert intervals.estimate([])["value"] is None
+    assert intervals.estimate([float("nan")])["value"] is None
+    assert intervals.share([])["value"] is None
+    assert intervals.ratio([0], [0])["value"] is None
 
 
 def test_the_same_figures_pass_the_gate() -> None:
@@ -78,11 +79,11 @@ def test_the_same_figures_pass_the_gate() -> None:
     [
         ({"scan": {"us": 14.0}}, "scan/us"),
         ({"steps_per_s": 1400.0}, "steps_per_s"),
-        ({"complete": common.share([False] * 10)}, "complete"),
+        ({"complete": intervals.share([False] * 10)}, "complete"),
         ({"rmse_m": 0.03}, "rmse_m"),
         ({"crowd": 2.1}, "crowd"),
         ({"scan": {}}, "missing in this run"),
-        ({"complete": common.share([])}, "missing in this run"),
+        ({"complete": intervals.share([])}, "missing in this run"),
         ({"rmse_m": float("nan")}, "missing in this run"),
     ],
 )

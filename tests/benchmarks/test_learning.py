@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from benchmarks.common import flatten
+from benchmarks.tables import flatten
 from tests.learning.training import QUICK
 
 pytest.importorskip("sb3_contrib")

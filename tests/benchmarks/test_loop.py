@@ -8,9 +8,10 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks import loop
-from benchmarks.common import Figures, Options, flatten
+from benchmarks import loop, records
+from benchmarks.common import Figures, Options
 from benchmarks.drives import Drive, record_drive
+from benchmarks.tables import flatten
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +85,7 @@ def test_quick_runs_and_sets(monkeypatch: pytest.MonkeyPatch) -> None:
         cell = {"scans": 1, "right": 1, "possible": 1, "pairs": 3, "wrong": 0, "polygon": 0, "ms": math.nan}
         return [{"mecp": {"s": cell}} for _ in units]
 
-    monkeypatch.setattr(loop, "in_parallel", noted)
+    monkeypatch.setattr(records, "in_parallel", noted)
     assert set(loop.run(Options(quick=True))) == set(loop.SEEDS)
     assert asked == [(layout, loop.QUICK_SCANS, seed) for layout in loop.SEEDS for seed in (0, 1)]
     loop.run(Options(sets=("hard:3",)))

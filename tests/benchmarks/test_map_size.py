@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from benchmarks import loop, map_size
-from benchmarks.common import OptionError, Options, estimate
+from benchmarks.common import OptionError, Options
 from benchmarks.drives import Drive
 from benchmarks.variants import associators
+from mecp_env.core.intervals import estimate
 from mecp_env.slam.config import KINDS
 
 

@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from benchmarks import noise
+from benchmarks import noise, records
 from benchmarks.common import Options
 from benchmarks.drives import Drive, record_drive, replay
 from benchmarks.variants import with_change
@@ -110,9 +110,8 @@ def test_corners_near_the_end_of_the_range_are_counted(drive: Drive) -> None:
 
 def test_cells_of_one_recording_follow_each_other(monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[tuple[str, int]] = []
-    monkeypatch.setattr(
-        noise, "in_parallel", lambda task, kind, units, options: asked.extend(units) or [{}] * len(units)
-    )
+    noted = lambda task, kind, units, options: asked.extend(units) or [{}] * len(units)  # noqa: E731
+    monkeypatch.setattr(records, "in_parallel", noted)
     monkeypatch.setattr(noise, "summarise", lambda drives: {})
     monkeypatch.setattr(noise, "VARIANTS", {})
     assert set(noise.run(Options(quick=True))) == set(noise.CELLS)

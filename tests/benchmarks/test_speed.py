@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from benchmarks import crowd_speed, explorers, polygon_speed, speed
-from benchmarks.common import flatten
+from benchmarks.tables import flatten
 from mecp_env.cli.stopwatch import STAGE_NAMES, STAGES, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.layout import load_layout

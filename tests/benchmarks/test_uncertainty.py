@@ -126,7 +126,7 @@ def test_an_unknown_policy_is_refused() -> None:
 def test_options_of_this_benchmark_are_refused_by_others(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         command.main(["noise", "--buildings", "3"])
-    assert "--task, --policies, --buildings: only for uncertainty" in capsys.readouterr().err
+    assert "--task, --policies, --buildings: only for returns and uncertainty" in capsys.readouterr().err
 
 
 def test_gates_are_points_and_policies() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from benchmarks import vector
-from benchmarks.common import flatten
+from benchmarks.tables import flatten
 
 
 @pytest.mark.parametrize("setting", vector.SETTINGS)

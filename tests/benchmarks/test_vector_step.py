@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from benchmarks import vector_step
-from benchmarks.common import flatten
+from benchmarks.tables import flatten
 
 
 def test_every_count_has_gymnasiums_figure_and_its_ratio() -> None:

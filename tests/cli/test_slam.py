@@ -166,7 +166,7 @@ def test_a_truncated_log_is_mapped_as_far_as_it_goes(tmp_path: Path, capsys: Sai
     [
         ("a.npz", {"ranges": None}, "no ranges in the archive"),
         ("none.npz", None, "no such file"),
-        (".", None, "no ROS 2 bag"),
+        (".", None, "a folder without a bag"),
     ],
 )
 def test_what_cannot_be_mapped_is_one_line(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,12 @@ Picture = NDArray[np.uint8]
 
 _FOLDERS = (parent / "shared/data/plans" for parent in Path(__file__).resolve().parents)
 REAL = next((folder for folder in _FOLDERS if folder.is_dir()), None)
-needs_real = pytest.mark.skipif(REAL is None, reason="shared/data/plans is not beside the repository")
+
+
+def needs_real(test: Callable[..., None]) -> Callable[..., None]:
+    """A test of real plans, some of whose places cannot be reached, of which warnings tell."""
+    lenient = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarning")(test)
+    return pytest.mark.skipif(REAL is None, reason="shared/data/plans is not beside the repository")(lenient)
 
 
 def real(name: str) -> Path:

@@ -80,7 +80,8 @@ def test_doors_in_double_walls_beside_partitions_and_in_frames(turn: float, tmp_
 
 def test_narrow_doors_are_not_widened_where_their_width_is_excluded(tmp_path: Path) -> None:
     path = plans.map_pair(tmp_path, plans.office_picture())
-    layout = load_plan(path, door_width_m=(0.6, 1.9))
+    with pytest.warns(PlanWarning, match="wide enough"):
+        layout = load_plan(path, door_width_m=(0.6, 1.9))
     assert (len(layout.rooms), len(layout.doors)) == (8, 8)
 
 
@@ -122,7 +123,8 @@ def test_what_cannot_be_reached_is_dropped(tmp_path: Path) -> None:
     picture = plans.two_rooms_picture()
     picture[62:80, 92:94] = 0
     picture[62:66, 92:94] = 254  # 0.2 m: too narrow for the robot
-    layout = read(picture, tmp_path, free_above=210)
+    with pytest.warns(PlanWarning, match=r"leads to: 1, of 20\.0 m2"):
+        layout = read(picture, tmp_path, free_above=210)
     assert len(layout.rooms) == 1
     assert build_outline(layout).free_area.area == pytest.approx(20.0, abs=0.1)
     assert "no wide enough doorway leads to: 1, of 20.0 m2" in layout.description

@@ -14,6 +14,7 @@ from PIL import Image
 from mecp_env.core.errors import LayoutError, PlanWarning
 from mecp_env.floorplans import load_plan, plan_files
 from mecp_env.floorplans.folder import left_out
+from mecp_env.floorplans.image import read_image
 from mecp_env.floorplans.vectorise import Placement, floor_polygon
 from tests.floorplans import plans
 
@@ -64,6 +65,8 @@ def test_a_folder_leaves_out_what_is_no_plan(tmp_path: Path) -> None:
         ("a.sdf", "<sdf/>", "Gazebo"),
         ("a.json", '{"type": "FeatureCollection", "features": []}', "GeoJSON"),
         ("a.json", '{"rooms": [], "walls": [], "objects": [], "doors": []}', "ProcTHOR"),
+        ("b.json", '{"type": "LineString", "coordinates": []}', "GeoJSON"),
+        ("a.usd", "", "no plan by its ending"),
         ("a.yaml", "levels: {L1: {vertices: []}}", "RMF"),
         ("model.svg", "<svg/>", "CubiCasa"),
         ("maps.zip", "PK", "archive"),
@@ -77,7 +80,9 @@ def test_foreign_kinds_are_named(name: str, content: str, said: str, tmp_path: P
         load_plan(tmp_path / name)
 
 
-@pytest.mark.parametrize("content", ['{"type": "Topology", "objects": {}}', '{"images": [], "categories": []}', "{}"])
+@pytest.mark.parametrize(
+    "content", ['{"type": "Topology", "objects": {}}', '{"images": [], "categories": []}', "{}", '{"version": "5"}']
+)
 def test_json_of_another_kind_is_refused_in_a_sentence(content: str, tmp_path: Path) -> None:
     (tmp_path / "a.json").write_text(content)
     with pytest.raises(LayoutError, match=r"JSON of another kind; read are .*HouseExpo"):
@@ -99,14 +104,62 @@ def test_a_picture_that_is_too_large_says_what_to_do(tmp_path: Path) -> None:
             load_plan(tmp_path / "a.pgm", resolution_m=0.05)
 
 
-@pytest.mark.parametrize(("margin", "told"), [(60, True), (0, False)])
-def test_a_floor_that_is_the_outside_is_told(margin: int, told: bool) -> None:
+@pytest.mark.parametrize(("margin", "said"), [(60, "outside"), (0, "left out: 1, of 70 m2")])
+def test_a_floor_that_is_the_outside_is_told(margin: int, said: str) -> None:
     free = np.ones((200 + 2 * margin, 300 + 2 * margin), np.bool_)
     house = free[margin : margin + 200, margin : margin + 300]
     house[:3], house[-3:], house[:, :3], house[:, -3:], house[:, 150:153] = False, False, False, False, False
-    with warnings.catch_warnings(record=True, action="always") as found:
+    with pytest.warns(PlanWarning, match=said):
         floor_polygon(free, Placement(0.05))
-    assert [warning.category for warning in found] == [PlanWarning] * told
+
+
+def test_an_inverted_picture_is_told() -> None:
+    """Seen: white walls on black rooms, read as one ring of floor without a word."""
+    with pytest.warns(PlanWarning, match="swap black and white"):
+        floor_polygon(np.pad(np.zeros((80, 80), np.bool_), 20, constant_values=True), Placement(0.05))
+    with warnings.catch_warnings(action="error"):
+        floor_polygon(np.pad(plans.two_rooms_picture() == 254, 20), Placement(0.05))
+
+
+@pytest.mark.parametrize("fields", [{"negate": 1}, {"mode": "raw"}])
+def test_marks_of_a_map_saver_with_other_fields_are_told(fields: dict[str, Any], tmp_path: Path) -> None:
+    path = plans.map_pair(tmp_path, np.repeat(np.repeat(plans.two_rooms_picture(), 6, 0), 6, 1), **fields)
+    with warnings.catch_warnings(record=True, action="always") as found:
+        load_plan(path)
+    assert "greys as map_saver saves" in str(found[0].message)
+
+
+def test_a_scale_that_is_not_in_metres_is_told(tmp_path: Path) -> None:
+    verts = [[0, 0], [400, 0], [400, 300], [0, 300]]
+    (tmp_path / "a.json").write_text(json.dumps({"verts": verts}))
+    with pytest.warns(PlanWarning, match="120000 m2 of floor and 1 room; check that its scale"):
+        load_plan(tmp_path / "a.json")
+
+
+def test_capitals_and_slashes_of_a_path(tmp_path: Path) -> None:
+    (tmp_path / "maps").mkdir()
+    path = pair(tmp_path)
+    (tmp_path / "map.pgm").rename(tmp_path / "maps/map.pgm")
+    sheet = path.read_text()
+    for written in ("maps/MAP.PGM", r"Maps\map.pgm"):
+        path.write_text(sheet.replace('"map.pgm"', written))
+        with pytest.warns(PlanWarning, match=r"'maps/map\.pgm' beside"):
+            assert len(load_plan(path).rooms) == 2
+
+
+def test_a_colour_that_is_transparent_is_no_floor(tmp_path: Path) -> None:
+    image = Image.fromarray(np.where(plans.two_rooms_picture() == 254, 255, 0).astype(np.uint8))
+    image.save(tmp_path / "a.png", transparency=255)
+    with pytest.raises(LayoutError, match="no pixel is floor; check"):
+        load_plan(tmp_path / "a.png", resolution_m=0.05)
+
+
+@pytest.mark.parametrize("name", ["a.tif", "a.png"])
+def test_of_several_pictures_the_first_is_read_with_a_warning(name: str, tmp_path: Path) -> None:
+    image = Image.fromarray(plans.two_rooms_picture())
+    image.save(tmp_path / name, save_all=True, append_images=[image.rotate(180)])
+    with pytest.warns(PlanWarning, match="the first"):
+        assert read_image(tmp_path / name).size == image.size
 
 
 def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
@@ -117,7 +170,7 @@ def test_walls_of_one_pixel_stay_where_pixels_are_joined() -> None:
         area = floor_polygon(free, Placement(0.01))
     free[1000, :] = False
     with pytest.warns(PlanWarning, match="2 x 2"):
-        half = floor_polygon(free, Placement(0.01))
+        half = floor_polygon(free, Placement(0.01), told=True)
     assert area.area > 1.9 * half.area * 0.9
     assert half.bounds[3] - half.bounds[1] < 12.1
 
@@ -127,6 +180,12 @@ def test_a_picture_of_another_kind_is_named_by_its_content(tmp_path: Path) -> No
     (tmp_path / "map.jpg").rename(tmp_path / "map.png")
     with pytest.raises(LayoutError, match=r"JPEG.*save it as a PNG"):
         load_plan(tmp_path / "map.png", resolution_m=plans.RESOLUTION_M)
+
+
+def test_a_pointer_of_git_lfs_is_named(tmp_path: Path) -> None:
+    (tmp_path / "map.pgm").write_text("version https://git-lfs.github.com/spec/v1\noid sha256:0\nsize 3\n")
+    with pytest.raises(LayoutError, match="git lfs pull"):
+        load_plan(tmp_path / "map.pgm", resolution_m=0.05)
 
 
 def test_a_picture_whose_name_has_other_capitals(tmp_path: Path) -> None:

@@ -41,6 +41,17 @@ class Poses(torch.nn.Module):  # type: ignore[misc, name-defined]
         return seen["pose"][:, :2] * 100.0 + 5.0
 
 
+class Value(torch.nn.Module):  # type: ignore[misc, name-defined]
+    """One number, whatever it sees."""
+
+    def __init__(self, value: float) -> None:
+        super().__init__()
+        self.value = value
+
+    def forward(self, seen: torch.Tensor) -> torch.Tensor:
+        return torch.full((1,), self.value)
+
+
 def script(folder: Path, module: Any, **fields: Any) -> str:
     """A TorchScript file with its JSON."""
     path = folder / "mine.pt"
@@ -103,6 +114,21 @@ def test_a_script_needs_trust_its_json_and_the_right_outputs(tmp_path: Path) -> 
     Path(path).write_bytes(b"no archive")
     with pytest.raises(ConfigError, match="cannot be loaded as TorchScript"):
         make_policy(path, trust=True)
+
+
+@pytest.mark.parametrize(
+    ("module", "fields", "message"),
+    [
+        (Poses(), {"observation": "flat", "actions": "velocity"}, r"cannot act on the observation \(104,\): .*Tensor"),
+        (Value(2.7), {"observation": "flat", "actions": "discrete"}, r"returned 1 numbers \(\[2.7\]\), expected 5"),
+        (Value(9.0), {"observation": "flat", "actions": "discrete"}, r"returned 1 numbers \(\[9.\]\), expected 5"),
+    ],
+)
+def test_an_output_that_is_no_action_is_one_line(module: Any, fields: Any, message: str, tmp_path: Path) -> None:
+    path = Path(script(tmp_path, module, **fields))
+    other = path.rename(path.with_suffix(".pth"))  # the content decides, not the name
+    with pytest.raises(ConfigError, match=message):
+        make_policy(str(other), trust=True).act(np.zeros(104, np.float32))  # type: ignore[arg-type]
 
 
 class Session:

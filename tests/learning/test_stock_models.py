@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import zipfile
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ from gymnasium import spaces  # noqa: E402
 
 from mecp_env.core.errors import ConfigError  # noqa: E402
 from mecp_env.learning.config import WeightError  # noqa: E402
+from mecp_env.learning.exported import class_of  # noqa: E402
 from mecp_env.learning.fits import fit, space_of  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
@@ -122,9 +125,31 @@ def test_other_algorithms_of_stable_baselines_are_told_apart(algorithm: str, act
     assert env.action_space.contains(np.asarray(policy.act(env.reset(seed=0)[0]), env.action_space.dtype))
 
 
+def test_the_settings_in_a_zip_tell_the_algorithm_of_a_custom_policy_class(tmp_path: Path) -> None:
+    for setting, algorithm in (
+        ("delta_std_schedule", "ARS"),
+        ("policy_delay", "CrossQ"),
+        ("exploration_fraction", "DQN"),
+        ("clip_range", "PPO"),
+    ):
+        with zipfile.ZipFile(tmp_path / "model.zip", "w") as archive:
+            archive.writestr("data", json.dumps({"policy_class": {"__module__": "my_net"}, setting: 0}))
+        assert class_of(tmp_path / "model.zip").endswith(f":{algorithm}")
+
+
+def test_weights_that_are_not_finite_are_no_score(tmp_path: Path) -> None:
+    env = gymnasium.make("mecp_env/Rooms-v0", actions="discrete", observation="flat")
+    model = stock.DQN("MlpPolicy", env, device="cpu", buffer_size=10, policy_kwargs={"net_arch": [4]})
+    next(model.policy.parameters()).data.fill_(np.nan)
+    model.save(tmp_path / "model.zip")
+    with pytest.raises(WeightError, match="not finite"):
+        load(tmp_path / "model.zip", trust=True)
+
+
 @pytest.mark.parametrize(
     ("observations", "actions", "message"),
     [
+        (spaces.Box(-1, 1, (4, 181)), spaces.Discrete(5), r"'uncertainty': False.*it takes 4 frames: stack them"),
         (
             spaces.Box(-1, 1, (90,)),
             spaces.Discrete(32),

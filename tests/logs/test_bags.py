@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import LogError
+from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
-from tests.logs.bags import ODOMETRY, BagWriter, sweep
+from tests.logs import files
+from tests.logs.bags import ODOMETRY, SCAN, BagWriter, sweep
 from tests.logs.files import BEARINGS, MOUNT, SIDE, drive
 
 pytest.importorskip("rosbags")
@@ -189,3 +191,95 @@ def test_fields_that_a_driver_leaves_out(tmp_path: Path) -> None:
     log = read_log(bag.close())
     np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-6)
     np.testing.assert_allclose(log.ranges, drive()[2], atol=1e-5)
+
+
+def test_odometry_that_has_speeds_alone(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    t, poses, ranges = drive()
+    vector = bag.store.types["geometry_msgs/msg/Vector3"]
+    for n in range(len(t)):
+        x, y, turn = (between(poses[n], poses[min(n + 1, len(t) - 1)]) / 0.25).tolist()
+        bag.odometry(t[n], np.zeros(3))
+        bag.messages[-1][3].twist.twist = bag.store.types["geometry_msgs/msg/Twist"](
+            vector(x, y, 0.0), vector(0.0, 0.0, turn)
+        )
+        bag.scan(t[n], ranges[n])
+    log = read_log(bag.close())
+    np.testing.assert_allclose(log.T_odom_robot, poses, atol=1e-5)
+    assert any("speeds" in note for note in log.notes)
+
+
+def test_odometry_that_never_moves_gives_way_to_that_of_the_frames(tmp_path: Path) -> None:
+    bag = BagWriter(tmp_path / "a.bag")
+    for stamp, pose, one in zip(*drive(), strict=True):
+        bag.frame(stamp, "odom", "base_link", pose)
+        bag.odometry(stamp, np.zeros(3))
+        bag.scan(stamp, one)
+    np.testing.assert_allclose(read_log(bag.close()).T_odom_robot, drive()[1], atol=1e-5)
+
+
+def plain(path: Path, rows: slice = slice(None), late: float = 0.0) -> BagWriter:
+    bag = BagWriter(path)
+    for stamp, pose, one in list(zip(*drive(), strict=True))[rows]:
+        bag.odometry(stamp, pose)
+        bag.scan(stamp, one, t=stamp + late)
+        bag.frame(stamp, "base_link", "laser", MOUNT, "/tf_static")
+    return bag
+
+
+@pytest.mark.parametrize("suffix", [".bag", ".db3", ".mcap"])
+def test_a_folder_of_parts_without_a_description(tmp_path: Path, suffix: str) -> None:
+    (tmp_path / "parts").mkdir()
+    for part, rows in (("a", slice(0, 6)), ("b", slice(6, None))):
+        path = plain(tmp_path / f"{part}{suffix if suffix != '.db3' else ''}", rows).close()
+        path = path if path.is_file() else next(path.glob(f"*{suffix}"))
+        path.rename(tmp_path / "parts" / path.name)
+    np.testing.assert_allclose(read_log(tmp_path / "parts").T_odom_robot, drive()[1], atol=1e-5)
+
+
+def test_topics_without_messages_are_no_choice(tmp_path: Path) -> None:
+    bag = plain(tmp_path / "a.bag")
+    with files.writer_of(bag.path, bag.path) as writer:
+        for topic, kind in (("/odom", ODOMETRY), ("/odom2", ODOMETRY), ("/scan", SCAN), ("/scan2", SCAN)):
+            end = writer.add_connection(topic, kind, typestore=bag.store)
+            for received, its, _, message in bag.messages:
+                if its == topic:
+                    writer.write(end, round(1e9 * received), bag.store.serialize_ros1(message, kind))
+    np.testing.assert_allclose(read_log(bag.path).T_odom_robot, drive()[1], atol=1e-5)
+
+
+def test_the_first_echo_of_each_beam_is_read(tmp_path: Path) -> None:
+    bag, kind = plain(tmp_path / "a"), "sensor_msgs/msg/MultiEchoLaserScan"
+    echo = bag.store.types["sensor_msgs/msg/LaserEcho"]
+    for n, (received, topic, its, scan) in enumerate(bag.messages):
+        if its == SCAN:
+            fields = {name: value for name, value in vars(scan).items() if name not in ("ranges", "intensities")}
+            beams = [echo(np.array([one, one + 1.0], np.float32)) for one in scan.ranges]
+            beams[0] = echo(np.empty(0, np.float32))
+            many = bag.store.types[kind](**fields, ranges=beams, intensities=[])
+            bag.messages[n] = (received, topic, kind, many)
+    log = read_log(bag.close())
+    np.testing.assert_allclose(log.ranges[:, 1:], drive()[2][:, 1:], atol=1e-5)
+    assert np.isnan(log.ranges[:, 0]).all()
+
+
+def test_clocks_that_differ_by_less_than_the_log(tmp_path: Path) -> None:
+    assert not read_log(plain(tmp_path / "a.bag", late=0.1).close()).notes
+    notes = read_log(plain(tmp_path / "b.bag", late=-0.5).close()).notes
+    assert any("differ by -0.50 s: --clock received" in note for note in notes)
+
+
+def test_a_frame_that_moves_on_the_robot_is_named(tmp_path: Path) -> None:
+    bag = plain(tmp_path / "a.bag")
+    for n in range(12):
+        bag.frame(100.0 + n, "base_link", "pan", np.array([0.0, 0.0, 0.1 * n]))
+    for message in (message for _, topic, _, message in bag.messages if topic == "/tf_static"):
+        message.transforms[0].header.frame_id = "pan"
+    assert any("'pan' moves on the robot" in note for note in read_log(bag.close()).notes)
+
+
+def test_a_last_beam_that_is_not_at_its_angle_is_counted(tmp_path: Path) -> None:
+    bag = plain(tmp_path / "a.bag")
+    for message in (message for _, topic, _, message in bag.messages if topic == "/scan"):
+        message.angle_max = -message.angle_max
+    assert read_log(bag.close()).counts["scans whose last beam is not at their angle_max"] == 12

@@ -86,3 +86,10 @@ def test_odometry_of_scans(path: Path) -> None:
     assert log.T_odom_robot is None
     made = registered(log)
     assert trajectory_error(made.T_odom_robot, made.T_ref_robot).rmse_m < 0.1
+
+
+def test_readings_below_2_cm_are_codes_of_errors(tmp_path: Path) -> None:
+    ranges = np.full((12, 37), 3.0)
+    ranges[:, ::5] = 0.006
+    log = read_log(write_archive(tmp_path / "a.npz", ranges=ranges))
+    assert np.isnan(log.ranges[:, ::5]).all()

@@ -14,7 +14,18 @@ from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
 from mecp_env.logs.odometry_model import arcs, reading
 from mecp_env.world.config import OdometryConfig
-from tests.logs.files import BEAMS, BEARINGS, CARMEN, MOUNT, drive, flaser, write_archive, write_bag, write_carmen
+from tests.logs.files import (
+    BEAMS,
+    BEARINGS,
+    CARMEN,
+    MOUNT,
+    drive,
+    flaser,
+    rawlaser,
+    write_archive,
+    write_bag,
+    write_carmen,
+)
 
 
 def check(log: Log, digits: float = 1e-5) -> None:
@@ -113,7 +124,7 @@ def test_no_log(tmp_path: Path, name: str, content: bytes) -> None:
 
 
 def test_folder_and_missing(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"without metadata.yaml"):
+    with pytest.raises(LogError, match="a folder without a bag"):
         read_log(tmp_path)
     with pytest.raises(LogError, match="no such file"):
         read_log(tmp_path / "b.log")
@@ -293,3 +304,46 @@ def test_odometry_can_be_left_out(tmp_path: Path, line: str) -> None:
     assert log.T_odom_robot is None
     assert len(log) == 12
     np.testing.assert_allclose(log.T_robot_laser, MOUNT, atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("start", "said"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (b"\n<!DOCTYPE html>\n", "a web page"),
+        (b"\xfd7zXZ\x00", "xz: unpack"),
+        (b"PK\x03\x04", "zip: unpack"),
+        ("t,x,y,heading".encode("utf-16"), "UTF-8"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.log", "a.csv", "a.bag", "a.zip"])
+def test_files_that_are_something_else(tmp_path: Path, name: str, start: bytes, said: str) -> None:
+    (tmp_path / name).write_bytes(start + b"x" * 100)
+    with pytest.raises(LogError, match=f"{name}: not a log as it is.*{said}"):
+        read_log(tmp_path / name)
+
+
+def test_a_mark_of_the_byte_order_is_no_part_of_the_first_line(tmp_path: Path) -> None:
+    lines = [line for line in lines_of(tmp_path) if line.startswith("FLASER")]
+    log = reread(tmp_path, ["\ufeff" + lines[0], *lines[1:]])
+    assert len(log) == 12
+    assert not log.counts
+
+
+def test_lines_of_other_messages_are_named(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match=r"12 lines of another laser, the first of others: 'RLASER'"):
+        reread(tmp_path, [line.replace("FLASER", "RLASER") for line in lines_of(tmp_path)])
+
+
+def test_poses_that_never_change_give_way_to_odometry_that_does(tmp_path: Path) -> None:
+    rows = []
+    for t, pose, one in zip(*drive(), strict=True):
+        rows += [rawlaser(t, pose, one).splitlines()[0], flaser(t, 0.0 * pose, one)]
+    log = reread(tmp_path, ["PARAM robot_frontlaser_offset 0.1", *rows])
+    np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=1e-5)
+    np.testing.assert_allclose(log.T_robot_laser, MOUNT)
+
+
+def test_a_laser_without_a_mounting_pose_is_named(tmp_path: Path) -> None:
+    assert any("taken as centred" in note for note in read_log(write_archive(tmp_path / "a.npz", mount=None)).notes)
+    assert not read_log(write_archive(tmp_path / "b.npz")).notes

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import gzip
+import itertools
 from pathlib import Path
 
 import numpy as np
@@ -10,7 +12,7 @@ import pytest
 from mecp_env.core.errors import LogError
 from mecp_env.logs import ReadOptions, read_log
 from mecp_env.logs.tables import AXLE_M, TICKS, WHEEL_M
-from tests.logs.files import BEAMS, BEARINGS, drive
+from tests.logs.files import BEAMS, BEARINGS, drive, write_archive
 
 
 def csv(path: Path, names: str, separator: str = ",", skip: int = 0) -> Path:
@@ -108,3 +110,67 @@ def test_a_column_of_headings_in_degrees(tmp_path: Path) -> None:
     (tmp_path / "a.csv").write_text("\n".join([f"t,x,y,heading_deg,{DEGREES}", *rows[:40]]))
     log = read_log(tmp_path / "a.csv")
     np.testing.assert_allclose(log.T_odom_robot, poses[:40], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("names", "factors"),
+    [
+        ("Time [s],X (m),Y (m),Theta (deg)", (1.0, 1.0, 1.0, 180.0 / np.pi)),
+        ("timestamp_ms,odom_x_mm,odom_y_mm,odom_yaw", (1e3, 1e3, 1e3, 1.0)),
+        ("field.header.stamp,pose.x,pose.y,pose.theta", (1.0, 1.0, 1.0, 1.0)),
+    ],
+)
+def test_names_say_the_unit(tmp_path: Path, names: str, factors: tuple[float, ...]) -> None:
+    rows = [[*np.array([t, *pose]) * factors, *one] for t, pose, one in zip(*drive(), strict=True)]
+    text = [f"{names},{DEGREES}", *(",".join(f"{x:.6f}" for x in row) for row in rows)]
+    (tmp_path / "a.csv").write_text("\n".join(text))
+    log = read_log(tmp_path / "a.csv")
+    np.testing.assert_allclose(log.t, drive()[0])
+    np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=1e-5)
+
+
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_a_comma_may_be_the_decimal_point(tmp_path: Path, separator: str) -> None:
+    path = csv(tmp_path / "a.csv", f"t,x,y,heading,{DEGREES}", separator)
+    path.write_text(path.read_text().replace(".", ","))
+    np.testing.assert_allclose(read_log(path).ranges, drive()[2], atol=1e-6)
+
+
+def test_quotes_order_and_other_columns(tmp_path: Path) -> None:
+    rows = [[*one, n, t, 7.0, *pose[::-1]] for n, (t, pose, one) in enumerate(zip(*drive(), strict=True))]
+    lines = [f"{DEGREES},,t,v,heading,y,x".split(","), *([f"{x:.6f}" for x in row] for row in rows)]
+    (tmp_path / "a.csv.gz").write_bytes(
+        gzip.compress("\n".join(",".join(f'"{word}"' for word in line) for line in lines).encode())
+    )
+    log = read_log(tmp_path / "a.csv.gz")
+    np.testing.assert_allclose(log.T_odom_robot, drive()[1], atol=1e-6)
+    np.testing.assert_allclose(log.ranges, drive()[2], atol=1e-6)
+    assert "columns that are not read: ', v'" in log.notes
+
+
+def test_numbers_of_beams_are_no_bearings(tmp_path: Path) -> None:
+    path = tmp_path / "a.csv"
+    rows = [f"{n}," + ",".join(["2.5"] * 720) for n in range(3)]
+    path.write_text("\n".join(["t," + ",".join(map(str, range(720))), *rows]))
+    with pytest.raises(LogError, match="no bearings in degrees within a turn: --field-of-view-deg"):
+        read_log(path)
+    assert read_log(path, ReadOptions(field_of_view_deg=180.0)).field_of_view_deg == pytest.approx(180.0)
+
+
+def test_where_all_rows_are_damaged_the_first_is_named(tmp_path: Path) -> None:
+    (tmp_path / "a.csv").write_text(f"t,{DEGREES}\n2023-01-01,1,2\n")
+    with pytest.raises(LogError, match=r"1 damaged rows\); row 2 .*2023-01-01"):
+        read_log(tmp_path / "a.csv")
+
+
+@pytest.mark.parametrize("factor", [180.0 / np.pi, -1.0])
+def test_headings_along_the_walls_of_a_building(tmp_path: Path, factor: float) -> None:
+    corners = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 5.0], [0.0, 5.0], [0.0, 0.0]])
+    poses = np.array([[0.0, 0.0, 0.0]])
+    for side, (start, end) in enumerate(itertools.pairwise(corners)):
+        places = start + np.linspace(0.0, 1.0, 40)[:, None] * (end - start)
+        poses = np.vstack([poses, np.column_stack((places, np.full(40, side * np.pi / 2)))])
+    more = {"t": np.arange(len(poses)), "odo": poses * (1.0, 1.0, factor), "ranges": np.full((len(poses), BEAMS), 2.5)}
+    log = read_log(write_archive(tmp_path / "a.npz", **more, ref=None, rel=None))
+    np.testing.assert_allclose(np.exp(1j * log.T_odom_robot[:, 2]), np.exp(1j * poses[:, 2]), atol=1e-9)
+    assert any("headings" in note for note in log.notes)

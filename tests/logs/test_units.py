@@ -58,3 +58,13 @@ def test_odometry_in_world_coordinates(tmp_path: Path) -> None:
     poses[:, :2] += 450_000.0, 5_400_000.0
     (tmp_path / "a.log").write_text("\n".join(flaser(*row) for row in zip(t, poses, ranges, strict=True)))
     np.testing.assert_allclose(read_log(tmp_path / "a.log").T_odom_robot, poses, atol=1e-5)
+
+
+def test_angles_may_jump_by_a_turn(tmp_path: Path) -> None:
+    log = read_log(write_archive(tmp_path / "a.npz", angles=BEARINGS % (2.0 * np.pi)))
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-9)
+
+
+def test_a_mount_in_degrees_is_none(tmp_path: Path) -> None:
+    log = read_log(write_archive(tmp_path / "a.npz", mount=np.array([0.1, 0.0, 180.0])))
+    assert log.counts["impossible mounting pose, taken as centred"] == 1

@@ -26,6 +26,8 @@ from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_units
 from mecp_env.policies.comparison import Row, compare, difference, rows_of
 from mecp_env.policies.evaluation import Evaluation
+from mecp_env.policies.explorers import Nearest
+from mecp_env.policies.registry import Mask
 from mecp_env.policies.report_table import cell, page
 from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
@@ -336,6 +338,36 @@ def test_a_class_of_the_working_directory_is_a_policy(
     assert evaluate(tmp_path, "own_policy:Own", "nearest", episodes=1, max_steps=40, truth=False) == 0
     own = next(line for line in capsys.readouterr().out.splitlines() if line.startswith("own_policy:Own"))
     assert "0.000 [-]" in own  # the difference; a single run has no interval
+
+
+class Masked(Nearest):
+    """Selects rows that are not offered."""
+
+    def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
+        return 31
+
+
+def test_a_score_that_is_that_of_the_nearest_goal_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(tmp_path, f"{__name__}:Masked", "nearest", episodes=1, max_steps=20, truth=False) == 0
+    said = capsys.readouterr().err
+    assert "Masked chose an empty row in 100% of its decisions" in said
+    assert "nearest chose" not in said
+
+
+class NoAction(Nearest):
+    """Returns no action."""
+
+    def act(self, observation: dict[str, Any], mask: Mask = None) -> Any:
+        return np.array([0.5])
+
+
+def test_a_policy_whose_first_action_fails_is_refused_before_the_episodes(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, f"{__name__}:NoAction", episodes=5, truth=False) == 2
+    said = capsys.readouterr().err
+    assert "NoAction' returned a wrong action: expected an integer in 0..31, given ndarray" in said
+    assert not (tmp_path / "out").exists()
 
 
 def test_ctrl_c_before_the_first_episode_is_one_line(

@@ -126,20 +126,69 @@ def test_what_a_policy_raises_names_it(raised: BaseException) -> None:
 
 def test_source_code_and_an_empty_name_are_no_policies(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("")
-    for name, said in ((tmp_path / "mine.py", "mine:MyPolicy"), ("", "expected one of")):
+    for name, said in ((tmp_path / "mine.py", r"mine\.py:MyPolicy"), ("", "expected one of")):
         with pytest.raises(ConfigError, match=said):
             make_policy(str(name))
+
+
+def test_a_file_below_the_working_directory_names_its_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "deep").mkdir()
+    (tmp_path / "deep/own_file.py").write_text("from mecp_env.policies.explorers import Nearest as Own\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.path", [*sys.path])
+    for name in ("deep/own_file.py:Own", "./deep/own_file.py:Own", f"{tmp_path}/deep/own_file.py:Own"):
+        assert type(make_policy(name)) is Nearest
+        assert registry.policy_checksum(name)
+    with pytest.raises(ConfigError, match=r"did you mean 'deep/own_file\.py'"):
+        make_policy("deep/own_file")
+
+
+@pytest.mark.parametrize(
+    ("name", "model"),
+    [
+        ("my_vecnormalize.pkl", "my.zip"),
+        ("vec_normalize.pkl", "my.zip"),
+        ("rl_model_vecnormalize_1000_steps.pkl", "rl_model_1000_steps.zip"),  # as `CheckpointCallback` names them
+    ],
+)
+def test_statistics_are_found_by_their_usual_names(name: str, model: str, tmp_path: Path) -> None:
+    for file in (name, model, "other.zip", "other_vecnormalize.pkl"):
+        (tmp_path / file).write_bytes(b"VecNormalize")
+    assert registry.statistics_of(tmp_path / model) == tmp_path / name
+
+
+def test_statistics_of_an_unknown_name_are_not_left_out_in_silence(tmp_path: Path) -> None:
+    for name in ("replay_buffer.pkl", "my.zip"):
+        (tmp_path / name).write_bytes(b"content")
+    assert registry.statistics_of(tmp_path / "my.zip") is None
+    (tmp_path / "statistics.pkl").write_bytes(b"stable_baselines3 VecNormalize")
+    with pytest.raises(ConfigError, match=r"statistics\.pkl; name those of this model my_vecnormalize\.pkl"):
+        registry.statistics_of(tmp_path / "my.zip")
 
 
 class Wrong(Nearest):
     """A policy whose settings are no fields."""
 
-    settings = 5
+    def __init__(self, settings: Any) -> None:
+        self.settings = settings
 
 
-def test_settings_that_are_no_fields_are_refused() -> None:
-    with pytest.raises(ConfigError, match="settings 5, expected a dict"):
-        options_of(Wrong())
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        (5, "5, expected a dict"),
+        ({"observatoin": "flat"}, "observatoin: no such field; did you mean 'observation'"),
+        ({"difficulty": "easy"}, "difficulty: no such field"),
+        ({"id": "mecp_env/First-v0"}, "id: no such field"),
+        ({"config": {"laser": {"max_range_m": 30.0}}}, "config: no such field"),
+        ({"max_steps": 5, "estimator": "truth"}, "of estimator, max_steps, which the evaluation selects"),
+        ({"reward": {"preset": "coverage", "area": 3.0}}, "area: 3 contradicts the preset 'coverage'"),
+        ({"actions": "velocity"}, "of actions 'velocity', but its `actions` are 'goal'"),
+    ],
+)
+def test_settings_that_are_no_fields_are_refused(settings: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=f"policy: 'Wrong': settings.*{message}"):
+        options_of(Wrong(settings))
 
 
 def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pytest.MonkeyPatch) -> None:
