@@ -18,7 +18,7 @@ OTHER_JSON = f"JSON of another kind; {SUPPORTED}: {DRAW}"
 AS_PNG = "save it as a PNG, and read that with --resolution-m"
 UNPACK = "unpack it, and name the plan in it, or the folder"
 MAP = "map it with mecp-env slam, whose folder has the map as yaml and picture"
-SAVE = "run it, map it or slice it at the height of the laser, and save that with map_saver as yaml and pgm"
+SAVE = "map it, or slice it at the height of the laser, and save that with map_saver as yaml and pgm"
 BY_ENDING = {
     ".dxf": ("a CAD drawing (DXF)", DRAW),
     ".dwg": ("a CAD drawing (DWG)", DRAW),
@@ -27,16 +27,12 @@ BY_ENDING = {
     ".osm": ("an OpenStreetMap extract", DRAW),
     ".svg": ("an SVG drawing, as the floor plans of CubiCasa5K", DRAW),
     ".pdf": ("a PDF document", DRAW),
-    ".jpg": ("a JPEG picture, whose compression blurs walls", AS_PNG),
-    ".jpeg": ("a JPEG picture, whose compression blurs walls", AS_PNG),
+    **dict.fromkeys((".jpg", ".jpeg"), ("a JPEG picture, whose compression blurs walls", AS_PNG)),
     ".webp": ("a WebP picture", AS_PNG),
     ".gif": ("a GIF picture", AS_PNG),
     ".zip": ("a packed archive", UNPACK),
     ".gz": ("a packed file", UNPACK),
-    ".tgz": ("a packed archive", UNPACK),
-    ".tar": ("an archive", UNPACK),
-    ".7z": ("a packed archive", UNPACK),
-    ".rar": ("a packed archive", UNPACK),
+    **dict.fromkeys((".tgz", ".tar", ".7z", ".rar", ".bz2", ".xz", ".zst"), ("a packed file", UNPACK)),
     ".bag": ("a recording of ROS", MAP),
     ".db3": ("a recording of ROS 2", MAP),
     ".mcap": ("a recording of ROS 2", MAP),
@@ -47,12 +43,6 @@ BY_ENDING = {
     ".wbt": ("a world of Webots", SAVE),
     ".pbstream": ("a map of Cartographer", "write it with cartographer_pbstream_to_ros_map as yaml and pgm"),
     ".posegraph": ("a map of slam_toolbox", "save it with map_saver as yaml and pgm"),
-    ".ply": ("a point cloud or mesh", SAVE),
-    ".pcd": ("a point cloud", SAVE),
-    ".obj": ("a mesh", SAVE),
-    ".stl": ("a mesh", SAVE),
-    ".glb": ("a 3-D scene (glTF)", SAVE),
-    ".gltf": ("a 3-D scene (glTF)", SAVE),
     ".lfs": ("a pointer of Git LFS in place of the file", "fetch the file with git lfs pull"),
 }
 BY_START = {  # bytes that a file begins with: the ending of its kind

@@ -139,9 +139,9 @@ def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:
     """Grey levels (h,w) 0-255 of an image, and where (h,w) it is more opaque than not."""
     if image.mode == "P" or "transparency" in image.info:
         image = image.convert("RGBA" if "transparency" in image.info else "RGB")
-    alpha = np.asarray(image.getchannel("A")) if "A" in image.mode else None
+    alpha = image.getchannel("A") if "A" in image.mode else None
     image = image if image.mode == "L" else image.convert("L")  # the colours of a large image go first
-    opaque = np.ones(image.size[::-1], np.bool_) if alpha is None else alpha >= LEAST_ALPHA
+    opaque = np.ones(image.size[::-1], np.bool_) if alpha is None else np.asarray(alpha) >= LEAST_ALPHA
     return np.asarray(image), opaque
 
 
