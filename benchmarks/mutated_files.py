@@ -237,7 +237,7 @@ def other_result(path: Path, rng: Rng) -> bytes:
 
 def use_result(path: Path) -> None:
     """Read a result, and print a table of it."""
-    from mecp_env.policies.leaderboard import leaderboard
+    from mecp_env.policies.suites import leaderboard
 
     assert leaderboard({path.name: read_submission(path)}).startswith("|")
 

@@ -14,8 +14,7 @@ from typing import Any
 
 from mecp_env.core.files import write_atomic
 from mecp_env.core.intervals import estimate, share
-from mecp_env.policies.leaderboard import FOLDER, TRAINING
-from mecp_env.policies.suites import SUITES, Suite, read_submission
+from mecp_env.policies.suites import FOLDER, SUITES, TRAINING, Suite, read_submission
 
 RESULTS = Path(__file__).parent / "results" / "suites"
 SHARES = ("lost", "complete")

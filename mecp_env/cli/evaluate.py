@@ -155,8 +155,7 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Sequence[str]) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
-        from mecp_env.policies.leaderboard import check_name
-        from mecp_env.policies.suites import submission
+        from mecp_env.policies.suites import check_name, submission
 
         for name in self.policies:
             check_name(name, "policies")
@@ -249,7 +248,7 @@ class Evaluate(WithModules):
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
-    from mecp_env.policies.leaderboard import leaderboard, reference_rows
+    from mecp_env.policies.suites import leaderboard, reference_rows
 
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
     table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
@@ -306,8 +305,7 @@ class Leaderboard(Command):
 
     def run(self, line: Sequence[str]) -> int:
         """Print the table."""
-        from mecp_env.policies.leaderboard import leaderboard, reference_rows
-        from mecp_env.policies.suites import METRICS, SUITES, read_submission
+        from mecp_env.policies.suites import METRICS, SUITES, leaderboard, read_submission, reference_rows
 
         check_word("metric", self.metric, METRICS)
         found = {str(path): read_submission(path) for path in self.files}
@@ -374,8 +372,8 @@ class Submit(WithModules):
 
     def _name(self) -> str:
         """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""
-        from mecp_env.policies.leaderboard import check_name
         from mecp_env.policies.registry import LEARNED, OURS
+        from mecp_env.policies.suites import check_name
 
         path = Path(self.policy)
         default = (path.stem if path.is_file() else path.name) if path.exists() else self.policy

@@ -2,6 +2,8 @@
 
 At each candidate the width of the floor is measured along lines parallel to it, a little before and behind. The best of
 them is closed first: a passage that was wide only because of that opening is then no door.
+
+Door frames of a pixel or two that straight walls would lose are kept; doorways that thick lines narrow are widened.
 """
 
 from __future__ import annotations
@@ -12,12 +14,13 @@ from functools import partial
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, Point, Polygon
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.floorplans.door_candidates import STRAIGHT, crossings, wall_faces
 from mecp_env.floorplans.furniture import without_furniture
 from mecp_env.floorplans.options import Crossing, PlanOptions
+from mecp_env.floorplans.reachable_floor import largest_part
 
 STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide
@@ -245,3 +248,73 @@ def _needed(gap: Gap) -> float:
         return FRAME_GAIN_M
     deep = gap.depth_m >= THICK_M and gap.width_m >= SINGLE_M
     return (DEEP_GAIN if deep else GAIN) * gap.width_m
+
+
+APART_M = 0.6  # a frame is no part of a doorway that is further away
+INTO_WALL_M = 0.15  # how far a post reaches into its wall
+STANDING_OUT_M = (0.08, 0.25)  # how far a post stands out
+FRAME_POST_M, THICKEST_M = 0.1, 0.16  # thickness of a post
+
+
+def with_frames(area: Polygon, drawn: Polygon, axes: tuple[float, ...], options: PlanOptions) -> Polygon:
+    """`area`, which has straight walls, with the door frames that `drawn` has and where it has no doorway."""
+    narrow = options.model_copy(update={"door_width_m": (options.door_width_m[0], FRAME_WIDTH_M)})
+    known = np.array([gap.centre for gap in find_doors(area, axes, options)]).reshape(-1, 2)
+    found = doorways(Walls.around(without_furniture(drawn)), axes, narrow)
+    frames = [gap for gap in found if _is_frame(gap) and _is_apart(gap, known)]
+    walls = Walls.around(area)
+    return largest_part(area.difference(shapely.union_all([post for gap in frames for post in _posts(gap, walls)])))
+
+
+def _is_frame(gap: Gap) -> bool:
+    """Thin posts that stand out a little."""
+    return gap.depth_m <= THICKEST_M and gap.gain_m <= 2.0 * STANDING_OUT_M[1]
+
+
+def _is_apart(gap: Gap, known: Array) -> bool:
+    return bool(np.all(np.linalg.norm(known - gap.centre, axis=1) > APART_M))
+
+
+def _posts(gap: Gap, walls: Walls) -> list[Polygon]:
+    """The posts on both sides of a frame, from the `walls` inwards."""
+    against, ahead = (float(side[0]) for side in extent(gap.centre[None], gap.along, walls))
+    half = 0.5 * max(gap.depth_m, FRAME_POST_M)
+    ends = []
+    for wall, sign in ((against, -1.0), (ahead, 1.0)):
+        inner, outer = sign * min(0.5 * gap.width_m, wall - STANDING_OUT_M[0]), sign * (wall + INTO_WALL_M)
+        ends.append(((inner, -half), (outer, -half), (outer, half), (inner, half)))
+    return [Polygon([gap.centre + u * gap.along + v * gap.through for u, v in end]) for end in ends]
+
+
+DRIVEN_M = 0.6  # a doorway that the robot can drive through with a margin of 0.08 m
+ROOM_M = 0.35  # how far before and behind a doorway its rooms are looked up
+
+
+def with_wider_doors(floor: Polygon, drawn: Polygon, axes: tuple[float, ...], options: PlanOptions) -> Polygon:
+    """`floor`, which is `drawn` with straight edges, with doorways of at least `DRIVEN_M` between its rooms."""
+    if options.door_width_m[0] >= DRIVEN_M:
+        return floor
+    places = shapely.get_parts(drawn.buffer(-DRIVEN_M / 2.0))
+    rooms = shapely.buffer(places, DRIVEN_M / 2.0)
+    large = rooms[shapely.area(rooms) >= options.smallest_room_m2]
+    narrow = options.model_copy(update={"door_width_m": (options.door_width_m[0], DRIVEN_M)})
+    tree, walls = shapely.STRtree(large), Walls.around(drawn)
+    gaps = [gap for gap in doorways(walls, axes, narrow) if _joins_two(gap, tree)]
+    return largest_part(shapely.union_all([floor, *(_wider(gap, walls) for gap in gaps)]))
+
+
+def _joins_two(gap: Gap, rooms: shapely.STRtree) -> bool:
+    sides = [Point(gap.centre + side * (0.5 * gap.depth_m + ROOM_M) * gap.through) for side in (-1, 1)]
+    before, behind = (set(rooms.query(point, predicate="within").tolist()) for point in sides)
+    return bool(before and behind and not before & behind)
+
+
+def _wider(gap: Gap, walls: Walls) -> Polygon:
+    """The doorway with a width of `DRIVEN_M`, wider where the wall beside it goes on for longer."""
+    against, ahead = post_lengths(gap.centre, gap.along, gap.width_m, walls)
+    more = DRIVEN_M - gap.width_m + 0.01
+    shares = (0.5, 0.5) if min(against, ahead) >= more else (float(against > ahead), float(ahead >= against))
+    low, high = -0.5 * gap.width_m - shares[0] * more, 0.5 * gap.width_m + shares[1] * more
+    half = 0.5 * gap.depth_m + 0.02
+    corners = ((low, -half), (high, -half), (high, half), (low, half))
+    return Polygon([gap.centre + u * gap.along + v * gap.through for u, v in corners])

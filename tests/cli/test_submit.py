@@ -9,11 +9,20 @@ from typing import Any, ClassVar
 import pytest
 
 from mecp_env.cli import main as cli
-from mecp_env.policies import leaderboard as rows_of_reference
+from mecp_env.policies import suites
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.leaderboard import check_name, reference_rows, safe_name
 from mecp_env.policies.setting import Setting
-from mecp_env.policies.suites import METRICS, SUITES, Suite, definition_hash, leaderboard, read_submission
+from mecp_env.policies.suites import (
+    METRICS,
+    SUITES,
+    Suite,
+    check_name,
+    definition_hash,
+    leaderboard,
+    read_submission,
+    reference_rows,
+    safe_name,
+)
 from tests.policies.test_suites import signed
 
 Captured = pytest.CaptureFixture[str]
@@ -31,7 +40,7 @@ def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
     content = {"suite": "toy-v1", "hash": SUITES["toy-v1"].frozen, "results": [row]}
     (tmp_path / "references").mkdir()
     (tmp_path / "references" / "toy-v1.json").write_text(json.dumps(content))
-    monkeypatch.setattr(rows_of_reference, "FOLDER", tmp_path / "references")
+    monkeypatch.setattr(suites, "FOLDER", tmp_path / "references")
     return "toy-v1"
 
 
@@ -160,4 +169,4 @@ def test_the_package_contains_reference_rows_of_each_suite(name: str) -> None:
     assert {"nearest", "next_best_view"} <= {row["policy"] for row in rows}
     assert all(set(METRICS) == set(row["figures"]) for row in rows)
     assert reference_rows(name, "another") == []
-    assert (rows_of_reference.FOLDER / f"{name}.json").stat().st_size < 20_000
+    assert (suites.FOLDER / f"{name}.json").stat().st_size < 20_000

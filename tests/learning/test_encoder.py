@@ -11,8 +11,11 @@ pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
 from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
-from mecp_env.learning.encoder import of_rows, used_rows  # noqa: E402
-from mecp_env.learning.models import make_network  # noqa: E402
+from mecp_env.learning.encoder import (  # noqa: E402
+    make_network,
+    of_rows,
+    used_rows,
+)
 from mecp_env.policies.explorers import Nearest  # noqa: E402
 from mecp_env.policies.gain import NextBestView  # noqa: E402
 from tests.learning.training import quick  # noqa: E402

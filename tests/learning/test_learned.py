@@ -18,9 +18,9 @@ from mecp_env.cli import main as cli  # noqa: E402
 from mecp_env.core.errors import ConfigError  # noqa: E402
 from mecp_env.learning import files  # noqa: E402
 from mecp_env.learning.config import WeightError  # noqa: E402
+from mecp_env.learning.encoder import make_network  # noqa: E402
 from mecp_env.learning.files import NotFiniteError, save_policy, write_json  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.models import make_network  # noqa: E402
 from mecp_env.policies.registry import KIND, PLACE, VALID, WAIT, WEIGHTS, choices, shipped  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 

@@ -13,8 +13,8 @@ pytest.importorskip("sb3_contrib")
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
 from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
+from mecp_env.learning.encoder import make_model  # noqa: E402
 from mecp_env.learning.environments import make_many  # noqa: E402
-from mecp_env.learning.models import make_model  # noqa: E402
 from mecp_env.learning.sb3_batch import OptionCallback, bootstrap_truncated  # noqa: E402
 from tests.learning.training import QUICK, checkpoints, quick, resume, run, weights_in  # noqa: E402
 

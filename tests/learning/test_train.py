@@ -20,9 +20,9 @@ from mecp_env.config import REWARDS  # noqa: E402
 from mecp_env.episode.potentials import register_reward  # noqa: E402
 from mecp_env.learning import files  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
+from mecp_env.learning.encoder import check_size, make_model  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.models import check_size, make_model  # noqa: E402
 from mecp_env.learning.run_folder import MOST_BYTES, RunFolder, TrainingState, load_checkpoint  # noqa: E402
 from mecp_env.learning.run_log import RunLog  # noqa: E402
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402

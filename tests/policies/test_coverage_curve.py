@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.budget import budget_m
-from mecp_env.policies.coverage_curve import CoverageCurve
+from mecp_env.policies.rollout import CoverageCurve
 
 
 @pytest.fixture

@@ -7,9 +7,8 @@ import pytest
 
 from mecp_env.core.intervals import correlation
 from mecp_env.policies.comparison import Row, returns_of
-from mecp_env.policies.coverage_curve import CoverageCurve
 from mecp_env.policies.report_table import returns_table
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask
+from mecp_env.policies.rollout import CoverageCurve, EpisodeResult, EpisodeTask
 from mecp_env.policies.setting import Setting
 
 
