@@ -55,7 +55,7 @@ def _innermost(error: ValidationError) -> Iterator[Any]:
 
 def _told(one: Any, root: str, model: type[BaseModel]) -> str:
     path, kind, context = one["loc"], one["type"], one.get("ctx", {})
-    steps = [step for step in map(str, path) if not UNION.match(step)]
+    steps = [step for step in map(str, path) if step != "[key]" and not UNION.match(step)]
     place, given = ".".join([root, *steps])[:200], one["input"]
     if isinstance(context.get("error"), ConfigError):
         return _further_out(str(context["error"]), place)
