@@ -8,6 +8,7 @@ import json
 import shutil
 import signal
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -139,20 +140,10 @@ def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
 
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:
-    """The options of a benchmark; ends the process with 2 for an unknown option."""
-    if given.sets and not hasattr(module, "SETS"):
-        parser().error(f"--sets: {given.name} is measured whole")
-    if given.modules and given.name not in OPEN:
-        parser().error(f"--with: {given.name} compares no associators and no filters; {' and '.join(OPEN)} do")
-    if given.against and (given.name not in COMPARED or given.gate):
-        parser().error(f"--against: only for {' and '.join(COMPARED)}, and not with --gate")
-    if given.sweeps and not (given.against and given.name == "speed"):
-        parser().error("--sweeps: only for speed --against")
-    if given.shard != WHOLE and given.name not in (*IN_UNITS, RECORD):
-        parser().error(f"--shard: {given.name} is measured whole; {', '.join(IN_UNITS)} have units")
-    check_places(given)
-    if (given.task or given.policies or given.buildings) and given.name not in OVER_POLICIES:
-        parser().error(f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}")
+    """The options of a benchmark; ends the process with 2 for one that it does not have."""
+    faults = (text for text, is_wrong in (*wrong_options(given, module), *wrong_places(given)) if is_wrong)
+    for text in faults:
+        parser().error(text)
     return Options(
         given.jobs,
         given.quick,
@@ -170,17 +161,32 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     )
 
 
-def check_places(given: argparse.Namespace) -> None:
-    """End the process with 2 where the options say another place for units or drives than the benchmark can have."""
-    if given.cluster and (given.name in HERE_ONLY or given.name not in (*IN_UNITS, RECORD)):
-        able = ", ".join(name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY)
-        parser().error(f"--cluster: {given.name} runs here; {able} run on a cluster, too")
-    if given.cluster and given.jobs != 1:
-        parser().error(f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs")
-    if given.records and given.name not in WITH_RECORDS:
-        parser().error(f"--records: {given.name} replays no drives; {', '.join(WITH_RECORDS)} do")
-    if given.records and given.records.exists() and not given.records.is_dir():
-        parser().error(f"--records: {given.records} is a file, not a folder")
+def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[tuple[str, object]]:
+    """What is said of each option that only some benchmarks have, and whether this one lacks it."""
+    name = given.name
+    yield f"--sets: {name} is measured whole", given.sets and not hasattr(module, "SETS")
+    compare = f"--with: {name} compares no associators and no filters; {' and '.join(OPEN)} do"
+    yield compare, given.modules and name not in OPEN
+    only = f"--against: only for {' and '.join(COMPARED)}, and not with --gate"
+    yield only, given.against and (name not in COMPARED or given.gate)
+    yield "--sweeps: only for speed --against", given.sweeps and not (given.against and name == "speed")
+    whole = f"--shard: {name} is measured whole; {', '.join(IN_UNITS)} have units"
+    yield whole, given.shard != WHOLE and name not in (*IN_UNITS, RECORD)
+    policies = f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}"
+    yield policies, (given.task or given.policies or given.buildings) and name not in OVER_POLICIES
+
+
+def wrong_places(given: argparse.Namespace) -> Iterator[tuple[str, object]]:
+    """The same of the places of units and of drives."""
+    name, able = given.name, [name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY]
+    here = f"--cluster: {name} runs here; {', '.join(able)} run on a cluster, too"
+    yield here, given.cluster and name not in able
+    jobs = f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
+    yield jobs, given.cluster and given.jobs != 1
+    replays = f"--records: {name} replays no drives; {', '.join(WITH_RECORDS)} do"
+    yield replays, given.records and name not in WITH_RECORDS
+    is_file = given.records and given.records.exists() and not given.records.is_dir()
+    yield f"--records: {given.records} is a file, not a folder", is_file
 
 
 def parser() -> argparse.ArgumentParser:

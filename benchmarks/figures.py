@@ -116,12 +116,17 @@ def sparse_stretches(drive: Drive, step: int) -> list[Array]:
     points = to_map(drive.T_world_robot[step], points_of(drive.scans[step], slice(0, 1)))
     found = []
     for start, end in drive.truth.outline.segments:
-        along = (end - start) / np.linalg.norm(end - start)
-        s, off = (points - start) @ along, (points - start) @ np.array([-along[1], along[0]])
-        near = np.sort(s[(abs(off) < NEAR_WALL_M) & (s > 0.0) & (s < np.linalg.norm(end - start))])
+        along, near = hits_along(points, start, end)
         if len(near) >= LEAST_HITS and (near[-1] - near[0]) / (len(near) - 1) > SPARSE_M:
             found.append(np.array([start + near[0] * along, start + near[-1] * along]))
     return found
+
+
+def hits_along(points: Array, start: Array, end: Array) -> tuple[Array, Array]:
+    """The direction of a wall, and where (n,) m along it those of the points are that belong to it, in order."""
+    along, length = (end - start) / np.linalg.norm(end - start), np.linalg.norm(end - start)
+    s, off = (points - start) @ along, (points - start) @ np.array([-along[1], along[0]])
+    return along, np.sort(s[(abs(off) < NEAR_WALL_M) & (s >= 0.0) & (s <= length)])
 
 
 def length_of(stretches: list[Array]) -> float:
@@ -148,11 +153,8 @@ def recognised_polygon(outputs: list[SlamOutput], pipeline: SlamPipeline) -> tup
 def hits_of(shown: Shown, sweeps: slice) -> Figures:
     """How many hits the scan has, and how many per metre of the sparse stretches."""
     points = points_of(shown.drive.scans[shown.scan], sweeps)
-    p_world, on = to_map(shown.drive.T_world_robot[shown.scan], points), 0
-    for start, end in shown.sparse:
-        along = (end - start) / np.linalg.norm(end - start)
-        s, off = (p_world - start) @ along, (p_world - start) @ np.array([-along[1], along[0]])
-        on += int(((abs(off) < NEAR_WALL_M) & (s >= 0.0) & (s <= np.linalg.norm(end - start))).sum())
+    p_world = to_map(shown.drive.T_world_robot[shown.scan], points)
+    on = sum(len(hits_along(p_world, start, end)[1]) for start, end in shown.sparse)
     return {"hits": len(points), "sparse_m": length_of(shown.sparse), "hits_per_m": on / length_of(shown.sparse)}
 
 

@@ -29,7 +29,7 @@ TITLES = {
     "fig7": "the environment",
     "fig8": "the map of EKF-SLAM with MECP association",
 }
-GREEN, RED, BLUE, GREY, WALL = "#2e8b57", "#b2182b", "#2166ac", "0.55", "0.75"
+GREEN, RED, BLUE, WALL = "#2e8b57", "#b2182b", "#2166ac", "0.75"
 STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)))
 MARKS = "osD^vPX<>h*"
 TONES = ("#4477aa", "#cc6677", "#117733", "#aa7700", "#88ccee", "#882255", "#44aa99", "#665533", "#332288")

@@ -1,8 +1,8 @@
 """Records of drives in files: NumPy archives (.npz) that run no code when they are read, whole or not at all.
 
 `header` holds JSON as bytes: format, version, package, what the record is, the lengths of its arrays, and `content`,
-the SHA-256 of all the rest. The header is checked before any array is read, the arrays against their lengths before
-they are loaded, and the content at the end.
+the SHA-256 of all the rest. The header is checked before any array is read, then the arrays against their lengths, and
+the content at the end.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import io
 import json
-import math
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -139,16 +138,10 @@ def _header(archive: zipfile.ZipFile) -> tuple[dict[str, Any], Header]:
 
 
 def _array(archive: zipfile.ZipFile, name: str, lengths: Mapping[str, int]) -> np.ndarray[Any, Any]:
-    """An array whose type, shape and size were checked before it was loaded. Raises `RecordError`."""
+    """An array of the expected type and shape. Raises `RecordError`, and whatever damaged bytes raise."""
     kind, letters = SHAPES[name]
     shape, dtype = tuple(lengths[size] if isinstance(size, str) else size for size in letters), np.dtype(kind)
-    with archive.open(f"{name}.npy") as member:
-        version = npy.read_magic(member)
-        found, fortran, stored = npy.read_array_header_1_0(member) if version == (1, 0) else ((), True, None)
-        if (found, fortran, stored) != (shape, False, dtype):
-            raise RecordError(f"damaged: {name}: {stored} {found}, expected {dtype} {shape}")
-        size = math.prod(shape) * dtype.itemsize
-        data = member.read(size + 1)
-    if len(data) != size:
-        raise RecordError(f"damaged: {name}: {len(data)} bytes or more, expected {size}")
-    return np.frombuffer(bytearray(data), dtype).reshape(shape).astype(dtype.newbyteorder("="), copy=False)
+    found = npy.read_array(io.BytesIO(archive.read(f"{name}.npy")), allow_pickle=False)
+    if (found.shape, found.dtype) != (shape, dtype):
+        raise RecordError(f"damaged: {name}: {found.dtype} {found.shape}, expected {dtype} {shape}")
+    return np.ascontiguousarray(found, dtype.newbyteorder("="))

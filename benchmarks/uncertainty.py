@@ -14,9 +14,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.columns import columns_of, means
 from benchmarks.common import Figures, Gate, OptionError, Options, chosen, grouped, in_parallel
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.tables import page, table
@@ -122,9 +122,11 @@ def range_of(task: str) -> float:
 
 def summarise(estimators: Mapping[str, list[dict[str, float]]]) -> Figures:
     """Results of one policy at one point: each estimator, and the prices."""
-    quality = {name: np.array([each[METRIC] for each in episodes]) for name, episodes in estimators.items()}
-    figures: Figures = {name: metrics_of(episodes) for name, episodes in estimators.items()}
-    return figures | {name: estimate(quality[more] - quality[less]) for name, (more, less) in PRICES.items()}
+    of = {name: columns_of(episodes) for name, episodes in estimators.items()}
+    lost = {name: {"lost": share(columns["lost"] > 0.5)} for name, columns in of.items()}
+    figures: Figures = {name: means(columns, *KEPT) | lost[name] for name, columns in of.items()}
+    gains = {name: of[more][METRIC] - of[less][METRIC] for name, (more, less) in PRICES.items()}
+    return figures | {name: estimate(gain) for name, gain in gains.items()}
 
 
 def over(
@@ -135,12 +137,6 @@ def over(
         return {}
     pairs = zip(estimators["slam"], greedy["slam"], strict=True)
     return {"over": estimate([own[METRIC] - other[METRIC] for own, other in pairs])}
-
-
-def metrics_of(episodes: list[dict[str, float]]) -> Figures:
-    """Each metric with its 95 % interval over buildings."""
-    means = {name: estimate([each[name] for each in episodes]) for name in KEPT if name != "lost"}
-    return means | {"lost": share(each["lost"] > 0.5 for each in episodes)}
 
 
 def report(figures: Figures) -> str:
