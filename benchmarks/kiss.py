@@ -30,10 +30,9 @@ from numpy.typing import NDArray
 from benchmarks.common import OptionError
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
-from mecp_env.slam.association import CcdaAssociator
+from mecp_env.slam.association import CcdaAssociator, MatchBuilder
 from mecp_env.slam.association.cliques import candidate_pairs, jointly_compatible
 from mecp_env.slam.association.gating import one_to_one, pairing_table
-from mecp_env.slam.association.match_builder import MatchBuilder
 from mecp_env.slam.messages import (
     Belief,
     Cell,
