@@ -118,15 +118,15 @@ class Slam(WithModules):
         saved = save_map(run.pipeline, self.save_map)
         metrics = files.keep(folder, run, self._recipe(run, options))
         print_figures(f"log {run.ended}", metrics, folder)
-        return exit_code(self._ended(run, options), saved)
+        return exit_code(self._ended(run, options, fault), saved)
 
-    def _ended(self, run: LogRun, options: LogRunConfig) -> int:
-        """The exit code, with the reason where the result is of no use."""
+    def _ended(self, run: LogRun, options: LogRunConfig, of_laser: str | None) -> int:
+        """The exit code, with the reason where the result is of no use, and what is wrong with the laser."""
         from mecp_env.evaluation.log_run import fault_of
 
         fault = fault_of(run, options)
         if fault is not None:
-            print_error(f"{self.log}: {fault}")
+            print_error("; ".join((f"{self.log}: {fault}", *filter(None, [of_laser]))))
             return FAILED
         return {"interrupted": INTERRUPTED, "complete": 0}.get(run.ended, FAILED)
 

@@ -99,11 +99,7 @@ def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> 
     does, which saves 205 and 0.25.
     """
     free, share = sheet.floor_levels(), shares(levels, opaque)
-    doubts = []
-    if sheet.mode == "raw" and sheet.negate:
-        doubts.append("negate: true is left out in the mode raw, as in nav2; invert the picture if it is meant")
-    if (sheet.mode == "raw" or sheet.negate) and share[SAVED_UNKNOWN] > 0.0 and _marked(share) > SAVED_SHARE:
-        doubts.append(f"greys as map_saver saves in the mode trinary, negate 0 (given: {sheet.mode}, {sheet.negate:d})")
+    doubts = _odd_modes(sheet, share)
     if free[SAVED_UNKNOWN] and share[SAVED_UNKNOWN] > 0.0 and _is_saved(sheet, share):
         free[SAVED_UNKNOWN] = False
         said = f"is read as unknown, as map_saver means it, although free_thresh {sheet.free_thresh:g} makes it free"
@@ -114,6 +110,16 @@ def _free(sheet: Sheet, levels: NDArray[np.uint8], opaque: Bools, name: str) -> 
     for doubt in doubts:
         warnings.warn(f"{name!r:.80}: {doubt}", PlanWarning, stacklevel=4)
     return free
+
+
+def _odd_modes(sheet: Sheet, share: Array) -> list[str]:
+    """What speaks against `mode` and `negate` as they are given, by the shares (256,) of grey levels."""
+    doubts = []
+    if sheet.mode == "raw" and sheet.negate:
+        doubts.append("negate: true is left out in the mode raw, as in nav2; invert the picture if it is meant")
+    if (sheet.mode == "raw" or sheet.negate) and share[SAVED_UNKNOWN] > 0.0 and _marked(share) > SAVED_SHARE:
+        doubts.append(f"greys as map_saver saves in the mode trinary, negate 0 (given: {sheet.mode}, {sheet.negate:d})")
+    return doubts
 
 
 def _is_saved(sheet: Sheet, share: Array) -> bool:
@@ -195,10 +201,16 @@ def _beside(path: Path, given: str) -> Path:
         raise LayoutError(
             f"image: {shown(given)} leaves the folder of the yaml file, and nothing of that name is in it"
         )
+    raise LayoutError(
+        f"image: {shown(given)}: no such file in the folder of the yaml file or below{_missed(folder, given, name)}"
+    )
+
+
+def _missed(folder: Path, given: str, name: str) -> str:
+    """What an error says of an image that is not there: the nearest name, or what to do."""
     beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
-    said = f"image: {shown(given)}: no such file in the folder of the yaml file or below{beside}"
     files = [one for one in _names(folder) if not one.endswith((".yaml", ".yml")) and _within(folder, one)]
-    raise LayoutError(said + (guess(name, files) or "; put the picture there, or correct the name"))
+    return beside + (guess(name, files) or "; put the picture there, or correct the name")
 
 
 def _spelt(folder: Path, parts: Sequence[str]) -> Path:

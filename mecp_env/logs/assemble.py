@@ -180,20 +180,31 @@ def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> t
     Where the poses of laser and robot differ by a constant, that is the mounting pose; otherwise the first has been
     corrected by another program, and serves as reference where the log has no other.
     """
-    stated = np.zeros(3) if recording.T_robot_laser is None else recording.T_robot_laser
     pairs = [(s.T_odom_robot, s.T_odom_laser) for s in sweeps if s.T_odom_laser is not None]
     if not pairs:
-        recording.notes += [CENTRED] * (recording.T_robot_laser is None and not recording.mounts)
-        return _near(stated, counts), recording.reference
+        return _stated(recording, counts, CENTRED), recording.reference
     T_robot, T_laser = (np.array(poses, np.float64) for poses in zip(*pairs, strict=True))
-    offsets = between(T_robot, T_laser)
+    middle, fixed = _middle(between(T_robot, T_laser))
+    if fixed:
+        return _near(middle, counts), recording.reference
+    corrected = Track([sweep.t for sweep in sweeps], list(T_laser))
+    return _stated(recording, counts), recording.reference if recording.reference.t else corrected
+
+
+def _stated(recording: Recording, counts: Counter[str], *notes: str) -> Array:
+    """The mounting pose (3,) that the log states; zero where it states none, with notes unless each laser has one."""
+    if recording.T_robot_laser is not None:
+        return _near(recording.T_robot_laser, counts)
+    recording.notes += () if recording.mounts else notes
+    return np.zeros(3)
+
+
+def _middle(offsets: Array) -> tuple[Array, bool]:
+    """The median (3,) of poses (n,3), and whether most of them are there."""
     middle = np.median(offsets, axis=0)
     off = between(middle, offsets)
     fixed = (np.hypot(off[:, 0], off[:, 1]) < FIXED_M) & (abs(off[:, 2]) < FIXED_RAD)
-    if 2 * fixed.sum() > len(fixed):
-        return _near(middle, counts), recording.reference
-    corrected = Track([sweep.t for sweep in sweeps], list(T_laser))
-    return _near(stated, counts), recording.reference if recording.reference.t else corrected
+    return middle, bool(2 * fixed.sum() > len(fixed))
 
 
 def _near(T_robot_laser: Array, counts: Counter[str]) -> Array:

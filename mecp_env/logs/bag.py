@@ -6,6 +6,7 @@ import importlib
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,8 @@ from mecp_env.logs.readings import POSE_BYTES, Budget, Geometry, Recording, Swee
 
 SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
+NO_ODOMETRY = f"no odometry: no message of type {ODOMETRY} that can be read, and no frame that moves in odom; "
+LIKE = {SCAN: (SCAN, ECHOES)}  # types that are read as another one
 FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FRAME_TOPICS = ("/tf", "/tf_static")
 REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
@@ -41,6 +44,11 @@ class BagLog:
     robot_frame: str = ""
     speeds: Track = field(default_factory=Track)  # m/s, m/s, rad/s of the messages with odometry
     lasers: list[str] = field(default_factory=list)  # their frames, in the order of `Sweep.laser`
+
+    @property
+    def used(self) -> list[str]:
+        """The frames of the lasers whose sweeps are kept."""
+        return [self.lasers[laser] for laser in sorted({sweep.laser for sweep in self.recording.sweeps})]
 
     def scan(self, message: Any, received: float) -> None:
         """A sweep. Raises `ValueError` for a damaged one."""
@@ -115,17 +123,13 @@ def read_bag(
 
     Several topics of odometry are an error unless one is asked for, or any will do (`several`).
     """
-    try:
-        reader = importlib.import_module("rosbags.highlevel")
-        stores = importlib.import_module("rosbags.typesys")
-    except ImportError:
-        raise LogError('to read bags takes the package rosbags: pip install "mecp_env[logs]"') from None
+    open_bag = _opener()
     recording = Recording(path.name, budget=Budget.of(_size(path)))
     for file in _files(path):
         check_chunks(file, recording.budget.most)
     log, kinds = BagLog(recording, Frames(recording.budget)), dict[str, str]()
     try:
-        with reader.AnyReader(_files(path), default_typestore=stores.get_typestore(stores.Stores.LATEST)) as bag:
+        with open_bag(_files(path)) as bag:
             used = [connection for connection in bag.connections if connection.msgcount] or bag.connections
             kinds |= {connection.topic: connection.msgtype for connection in used}
             _read(bag, log, _takers(kinds, log, scan_topics, odometry_topics, several))
@@ -141,6 +145,16 @@ def read_bag(
     note_delay(log.recording)
     _mount(log)
     return log.recording
+
+
+def _opener() -> Callable[[list[Path]], Any]:
+    """What opens the files of a bag. Raises `LogError` without the library."""
+    try:
+        reader = importlib.import_module("rosbags.highlevel")
+        stores = importlib.import_module("rosbags.typesys")
+    except ImportError:
+        raise LogError('to read bags takes the package rosbags: pip install "mecp_env[logs]"') from None
+    return partial(reader.AnyReader, default_typestore=stores.get_typestore(stores.Stores.LATEST))
 
 
 def _size(path: Path) -> int:
@@ -177,7 +191,7 @@ def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
 
 def _topics(kinds: dict[str, str], kind: str, asked: Choice, option: str) -> list[str]:
     """The topics of a type: as asked, or the only one; none without any. Raises `LogError`."""
-    found = sorted(topic for topic, its in kinds.items() if its in (kind, ECHOES if kind == SCAN else kind))
+    found = sorted(topic for topic, its in kinds.items() if its in LIKE.get(kind, (kind,)))
     for topic in asked:
         if topic not in found:
             raise LogError(f"{option}: no {kind} on {topic!r:.80}{guess(topic, found)}; topics: {_listed(kinds)}")
@@ -229,21 +243,17 @@ def _choose_frame(log: BagLog, frame: str | None) -> None:
 def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
     """Odometry from the frames, where no message has it; a note of where it was looked for."""
     recording = log.recording
-    edge = log.frames.odometry([log.lasers[laser] for laser in {sweep.laser for sweep in recording.sweeps}])
+    edge = log.frames.odometry(log.used)
     if recording.odometry.moves:
         return
     if log.speeds.moves:
         recording.odometry = driven(log.speeds)
         recording.notes.append("odometry is made of the speeds in its messages, whose poses never change")
-        return
-    if edge is not None and (log.frames.moving[edge].moves or not recording.odometry.t):
+    elif edge is not None and (log.frames.moving[edge].moves or not recording.odometry.t):
         recording.odometry, log.robot_frame = log.frames.moving[edge], edge[1]
         recording.notes.append(f"odometry is that of the frames {edge[0]} -> {edge[1]}")
-    if recording.odometry.t:
-        return
-    looked = f"topics: {_listed(kinds)}; frames: {log.frames.listed()}"
-    read = f"no message of type {ODOMETRY} that can be read, and no frame that moves in odom"
-    recording.notes.append(f"no odometry: {read}; {looked}")
+    elif not recording.odometry.t:
+        recording.notes.append(NO_ODOMETRY + f"topics: {_listed(kinds)}; frames: {log.frames.listed()}")
 
 
 def _mount(log: BagLog) -> None:
@@ -260,11 +270,13 @@ def _mount(log: BagLog) -> None:
     elif used:
         recording.T_robot_laser = np.zeros(3)
         recording.notes.append(_centred(log, log.lasers[used[0]], robot))
-    recording.notes += _tilted(log, known)
-    loose = {name for laser in used for name in log.frames.moving_below(log.lasers[laser], robot)}
-    recording.notes += [
-        f"warning: {name!r:.80} moves on the robot with the laser: its first pose counts" for name in loose
-    ]
+    recording.notes += _tilted(log, known) + _loose(log, used, robot)
+
+
+def _loose(log: BagLog, used: list[int], robot: str) -> list[str]:
+    """Which frames of the lasers move on the robot."""
+    names = {name for laser in used for name in log.frames.moving_below(log.lasers[laser], robot)}
+    return [f"warning: {name!r:.80} moves on the robot with the laser: its first pose counts" for name in sorted(names)]
 
 
 def _centred(log: BagLog, laser: str, robot: str) -> str:

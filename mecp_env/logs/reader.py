@@ -79,23 +79,30 @@ def _asked(recording: Recording, options: ReadOptions) -> Recording:
 
 def _recording(path: Path, options: ReadOptions) -> Recording:
     """What is in a file, by the reader of its format."""
-    if not exists(path):
-        raise LogError("no such file")
     suffix = Path(path.name.lower().removesuffix(PACKED)).suffix
-    if path.is_file() and suffix != ".npz":
-        _check_start(path)
+    _check_file(path, suffix)
     if is_bag(path):
         asked = (options.odometry_topic,) if options.odometry_topic else ()
         return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
-    if path.is_dir():
-        raise LogError("a folder without a bag; name a file")
     if suffix in CARMEN:
         _check_options(options, "scan_frame", "odometry_topic")
         return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
-    if suffix not in (".npz", *TABLES):
-        raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
     _check_options(options, "scan_topic", "scan_frame", "odometry_topic")
     return read_archive(path) if suffix == ".npz" else read_table(path, options.field_of_view_deg)
+
+
+def _check_file(path: Path, suffix: str) -> None:
+    """Raise `LogError` for what is no log by its name or by its first bytes."""
+    if not exists(path):
+        raise LogError("no such file")
+    if path.is_file() and suffix != ".npz":
+        _check_start(path)
+    if is_bag(path):
+        return
+    if path.is_dir():
+        raise LogError("a folder without a bag; name a file")
+    if suffix not in (".npz", *TABLES, *CARMEN):
+        raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
 
 
 def _check_start(path: Path) -> None:

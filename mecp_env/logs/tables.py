@@ -130,20 +130,29 @@ def _numbers(words: list[str]) -> Array | None:
 
 def _columns(names: list[str], view_deg: float | None, notes: list[str]) -> Columns:
     """Where a table with these names has what; a note lists the columns that are not read. Raises `LogError`."""
-    parsed = [_parsed(name) for name in names]
-    words = [word for word, _ in parsed]
-    stamp, *places = (next((at for at, word in enumerate(words) if word in known), None) for known in (STAMPS, *POSES))
-    pose = tuple(place for place in places if place is not None)
+    words, units = zip(*map(_parsed, names), strict=True) if names else ((), ())
+    stamp, pose = _stamp_and_pose(words)
     if len(pose) not in (0, len(POSES)) or (stamp is None and not pose):
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
-    stem = Counter(map(_stem, names)).most_common(1)[0][0]
-    readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in (stamp, *pose)]
-    if not 2 <= len(readings) <= MOST_BEAMS:
-        raise LogError(f"first row has {len(readings)} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
+    readings = _readings(names, {stamp, *pose})
     left = [name for at, name in enumerate(names) if at not in (stamp, *pose, *readings)]
     notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
-    units = np.array([unit for _, unit in parsed])
-    return Columns(stamp, pose, readings, units, _geometry([names[at] for at in readings], view_deg))
+    return Columns(stamp, pose, readings, np.array(units), _geometry([names[at] for at in readings], view_deg))
+
+
+def _stamp_and_pose(words: tuple[str, ...]) -> tuple[int | None, tuple[int, ...]]:
+    """The column of the stamp, and those of x, y and heading that there are."""
+    places = [next((at for at, word in enumerate(words) if word in known), None) for known in (STAMPS, *POSES)]
+    return places[0], tuple(place for place in places[1:] if place is not None)
+
+
+def _readings(names: list[str], others: set[int | None]) -> list[int]:
+    """The columns of readings: what most names begin with. Raises `LogError`."""
+    stem = Counter(map(_stem, names)).most_common(1)[0][0]
+    readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in others]
+    if not 2 <= len(readings) <= MOST_BEAMS:
+        raise LogError(f"first row has {len(readings)} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
+    return readings
 
 
 def _parsed(name: str) -> tuple[str, float]:

@@ -12,6 +12,7 @@ from PIL import Image
 
 from mecp_env.cli import main as cli
 from mecp_env.cli import runs
+from mecp_env.evaluation import log_run
 from mecp_env.floorplans import load_plan
 from mecp_env.slam.map_file import MapError, SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
@@ -193,11 +194,17 @@ def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys:
 
 
 @pytest.mark.slow
-def test_a_mirrored_laser_is_named_and_mended(log: Path, tmp_path: Path, capsys: Said) -> None:
+def test_a_mirrored_laser_is_named_and_mended(
+    log: Path, tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch
+) -> None:
     with np.load(log) as whole:
         np.savez(tmp_path / "a.npz", **{name: -whole[name] if name == "angles" else whole[name] for name in whole})
-    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 0
-    assert "try --mirror" in capsys.readouterr().out
+    with monkeypatch.context() as patched:
+        patched.setattr(log_run, "fault_of", lambda run, options: "of no use")
+        assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
+    said = capsys.readouterr()
+    assert "try --mirror" in said.out
+    assert "of no use; the laser seems to be mirrored" in said.err
     assert any("--mirror" in note for note in metrics_of(tmp_path / "a")["notes"])
     assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "b"), "--mirror"]) == 0
     assert "try --mirror" not in capsys.readouterr().out

@@ -18,9 +18,17 @@ from benchmarks import clutter, common
 from benchmarks.common import Figures, Options
 from benchmarks.records import Records
 from mecp_env.cli import main as cli
-from mecp_env.core import cluster
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.work_units import FailedUnit, KeptResults, Shard, code_of, connected, run_on_cluster, run_units
+from mecp_env.core.work_units import (
+    FailedUnit,
+    KeptResults,
+    Shard,
+    attempt,
+    code_of,
+    connected,
+    run_on_cluster,
+    run_units,
+)
 
 ROOT = Path(__file__).parents[2]
 HERE, HEAD, OTHER = "127.0.0.1", "127.0.0.2", "127.0.0.3"  # all loopback; Ray takes the first for the outer address
@@ -136,12 +144,12 @@ def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None
 
 
 def test_a_failure_on_a_node_comes_back_in_one_line() -> None:
-    failed = cluster.attempt(root, -4, code_of(root))
+    failed = attempt(root, -4, code_of(root))
     assert failed.reason == next(iter(dict(run_units(root, [-4], 1)).values())).reason
 
 
 def test_a_node_with_other_code_refuses_the_work() -> None:
-    failed = cluster.attempt(root, 4, code_of(root) | {"numpy": "0.1"})
+    failed = attempt(root, 4, code_of(root) | {"numpy": "0.1"})
     assert failed.reason.startswith("ConfigError: cluster: a node has numpy ")
     assert ", not 0.1 (attempt, line" in failed.reason
 

@@ -121,7 +121,10 @@ def test_a_custom_reward_by_name() -> None:
 @pytest.mark.parametrize(
     ("custom", "message"),
     [
-        ({"landmark_seen": 1.0}, r"custom\.landmark_seen: landmark_seen: not registered.*did you mean 'landmarks_seen'"),
+        (
+            {"landmark_seen": 1.0},
+            r"custom\.landmark_seen: landmark_seen: not registered.*did you mean 'landmarks_seen'",
+        ),
         ({"area": 1.0}, "area: one of ours"),
         ({"x": "much"}, "x"),
     ],

@@ -15,7 +15,7 @@ from mecp_env.core.snapshot import StateError
 from mecp_env.core.snapshot_check import check_shapes
 from mecp_env.episode.episode import SHAPES
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
-from mecp_env.world import bodies, drive
+from mecp_env.world import drive
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.doors import close_doors, draw_closed
@@ -286,7 +286,7 @@ def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.Monke
         parts.append(drive.may_touch(*arguments))
         return parts[-1]
 
-    monkeypatch.setattr(bodies, "may_touch", noted)
+    monkeypatch.setattr("mecp_env.world.simulation.may_touch", noted)
     rng, left_out = np.random.default_rng(1), 0
     for seed in range(3):
         simulation, movers = crowded(boxes, seed)
