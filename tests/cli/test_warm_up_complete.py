@@ -75,7 +75,7 @@ def run(*words: str, folder: Path) -> None:
 
 def kept() -> set[str]:
     """The functions in the cache."""
-    return {str(path) for path in jit.cache_directory().rglob("*.nbc")}
+    return {path.name for path in jit.cache_directory().rglob("*.nbc")}
 
 
 @pytest.mark.slow
