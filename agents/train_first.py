@@ -9,8 +9,8 @@ The first line trains PPO on `First-v0` for five minutes on two cores, and write
     python agents/train_first.py --seeds 0 1 2
     python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000 \
       --max-steps 600 --pace 0.8 --seeds 0 1 2 --evaluate-every 100000 --metric coverage_over_steps --out runs/medium
-    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 \
-      --evaluate-every 100000 --buildings 16 --metric correct_coverage_over_steps --out runs/halls
+    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 --pace 0.8 \
+      --evaluate-every 300000 --buildings 20 --metric correct_coverage_over_steps --out runs/halls
 """
 
 from __future__ import annotations
