@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import clutter
+from benchmarks import clutter, records
 from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.common import Figures, OptionError, Options
 from benchmarks.drives import Drive, replay
@@ -137,7 +137,7 @@ def figures() -> Figures:
         for name in ("DRIVES", "CELLS"):
             patch.setattr(clutter, name, {"DRIVES": {"two_rooms": 2}, "CELLS": clutter.CELLS}[name])
         patch.setattr(clutter, "associators", lambda: {name: associators()[name] for name in ("mecp", "known")})
-        patch.setattr(clutter, "in_parallel", lambda task, kind, units, options: [task(unit) for unit in units])
+        patch.setattr(records, "in_parallel", lambda task, kind, units, options: [task(unit) for unit in units])
         return clutter.run(Options())
 
 
