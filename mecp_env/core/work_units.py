@@ -34,6 +34,13 @@ from mecp_env.core.provenance import checksum, checksums, dependencies, import_m
 ADDRESS = re.compile(r"([\w.-]{1,253}):(\d{1,5})", re.ASCII)
 CONNECT_S = 5.0  # until a machine that does not answer has no cluster
 ONE_TRY = "RAY_NUM_REDIS_GET_RETRIES", "1"  # of 40 s each to reach the head, for a cluster that runs already
+__all__ = ["FailedUnit"]  # of mecp_env.core.processes
+Unit = TypeVar("Unit")
+Result = TypeVar("Result")
+START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
+STOP_POLL_S = 0.2  # how often `stop` is called
+FORMAT, VERSION = "mecp_env result", 1
+NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
 
 
 def run_on_cluster(
@@ -116,17 +123,6 @@ def _result(ray: Any, reference: Any, unit: Any) -> Any:
     except ray.exceptions.RayError as error:
         reason = f"{error!s:.400}".strip().splitlines()[0]
         return FailedUnit(unit, reason, WorkerDied(reason))
-
-
-__all__ = ["FailedUnit"]  # of mecp_env.core.processes
-
-Unit = TypeVar("Unit")
-Result = TypeVar("Result")
-
-START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
-STOP_POLL_S = 0.2  # how often `stop` is called
-FORMAT, VERSION = "mecp_env result", 1
-NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
 
 
 def run_units(

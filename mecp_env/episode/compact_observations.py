@@ -54,6 +54,28 @@ GOAL: tuple[Column, ...] = (
     ("kind", 0.0),
 )
 PREDICTED: tuple[Column, ...] = (("sigma_m", 0.1), ("sigma_rad", 0.05), ("gain", 10.0))
+Floats = NDArray[np.float32]
+Grid = tuple[Bytes, Array, float]  # (H,W) Cell, (2,) m the lower left corner in the map frame, m per cell
+NO_BEAM = -1.0
+RANGE_M = 2.0  # where a range is squashed to 0.5
+KINDS = float(len(GoalKind))
+EXPLORED = (GoalKind.PLACE + 0.5) / KINDS  # the column `kind` of what explores is below
+FIRST_RANGE = len(HEAD)
+FIRST_GOAL = FIRST_RANGE + SECTORS
+SIGHT_M, WALL_M = 5.0, 0.3  # range of the imaginary scan; a wall nearer than `WALL_M` belongs to the goal itself
+DEPTH_M = 2.0  # of unknown cells, after which a beam ends: rank correlation with what drives map .61, without it .43
+BEAMS = 24
+SECTOR_RAD, BEAM_RAD = 2.0 * math.pi / SECTORS, 2.0 * math.pi / BEAMS
+UNKNOWN, OCCUPIED = int(Cell.UNKNOWN), int(Cell.OCCUPIED)
+DIRECTIONS = np.array([(math.cos(k * BEAM_RAD), math.sin(k * BEAM_RAD)) for k in range(BEAMS)])
+DERIVED = 5  # columns of a goal that depend on the pose or the grid
+IMAGE = (64, 0.4)  # cells per side, m per cell
+CHANNELS = (  # layer and shade, the later over the earlier
+    (("unknown", 170), ("occupied", 255)),
+    (("door", 85), ("frontier", 170), ("goal", 255)),
+    (("polygon", 85), ("room", 170), ("path", 255)),
+)
+BUDGET_SHADE = 255
 
 
 def flat_columns(actions: str, uncertainty: bool) -> tuple[Column, ...]:
@@ -84,23 +106,6 @@ def _options_of(env: Any) -> tuple[str, bool]:
     if seen.format != "flat":
         raise ConfigError(f"flat_names: env: expected observation='flat', got {seen.format!r}")
     return config.actions, seen.uncertainty
-
-
-Floats = NDArray[np.float32]
-Grid = tuple[Bytes, Array, float]  # (H,W) Cell, (2,) m the lower left corner in the map frame, m per cell
-
-NO_BEAM = -1.0
-RANGE_M = 2.0  # where a range is squashed to 0.5
-KINDS = float(len(GoalKind))
-EXPLORED = (GoalKind.PLACE + 0.5) / KINDS  # the column `kind` of what explores is below
-FIRST_RANGE = len(HEAD)
-FIRST_GOAL = FIRST_RANGE + SECTORS
-SIGHT_M, WALL_M = 5.0, 0.3  # range of the imaginary scan; a wall nearer than `WALL_M` belongs to the goal itself
-DEPTH_M = 2.0  # of unknown cells, after which a beam ends: rank correlation with what drives map .61, without it .43
-BEAMS = 24
-SECTOR_RAD, BEAM_RAD = 2.0 * math.pi / SECTORS, 2.0 * math.pi / BEAMS
-UNKNOWN, OCCUPIED = int(Cell.UNKNOWN), int(Cell.OCCUPIED)
-DIRECTIONS = np.array([(math.cos(k * BEAM_RAD), math.sin(k * BEAM_RAD)) for k in range(BEAMS)])
 
 
 @compiled
@@ -184,16 +189,6 @@ def unseen_floor(x: float, y: float, grid: Grid) -> float:
             area += i * (cell == UNKNOWN)
             depth += cell == UNKNOWN
     return area * cell_m * cell_m * BEAM_RAD
-
-
-DERIVED = 5  # columns of a goal that depend on the pose or the grid
-IMAGE = (64, 0.4)  # cells per side, m per cell
-CHANNELS = (  # layer and shade, the later over the earlier
-    (("unknown", 170), ("occupied", 255)),
-    (("door", 85), ("frontier", 170), ("goal", 255)),
-    (("polygon", 85), ("room", 170), ("path", 255)),
-)
-BUDGET_SHADE = 255
 
 
 class Flat:

@@ -21,6 +21,13 @@ from mecp_env.world.laser import Laser
 from mecp_env.world.outline import Outline
 
 SPACING_M = 0.1  # between the points of a wall
+CELL_M = metric_arrays.CELL_M
+MARGIN_M = 1.0  # of the rasters around the building
+BEAMS = 720
+BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
+DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
+NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
+IDENTITY_GATE_M = 0.3
 
 
 class FloorAndWalls(NamedTuple):
@@ -76,15 +83,6 @@ class MapQuality:
     def mean_over_metres(self, budget_m: float) -> float:
         """Mean over the first `budget_m` metres, the last value held."""
         return (self.over_metres + (budget_m - self.metres) * self.correct_coverage) / budget_m
-
-
-CELL_M = metric_arrays.CELL_M
-MARGIN_M = 1.0  # of the rasters around the building
-BEAMS = 720
-BEARINGS = -np.pi + 2.0 * np.pi / BEAMS * np.arange(1, BEAMS + 1)
-DIRECTIONS = np.stack([np.cos(BEARINGS), np.sin(BEARINGS)])  # (2,B)
-NO_NOISE = np.random.default_rng(0)  # an ideal laser draws nothing from it
-IDENTITY_GATE_M = 0.3
 
 
 class DynamicObstacles(NamedTuple):

@@ -35,6 +35,23 @@ from mecp_env.world.schema import Layout
 CLOSED_M = 2e-3  # thickness of a closed door: the polygons of the rooms are so far apart
 SLIT_M = 0.01  # width of the cut that makes one ring of a room with others inside of it
 BEHIND_M = 0.08  # how far behind a doorway its room is looked up
+MAX_VERTICES = 50_000  # of a floor as it was read, those in the middle of an edge aside; with more it is thinned
+ON_EDGE_M = 1e-6  # a vertex so near to the line through its neighbours is in the middle of an edge
+MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
+MAX_THINNED = 8_000  # of a floor drawn as coarsely as its pixels are; one with more is drawn more coarsely
+COARSER_M = (0.09, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # how coarsely a large floor may be drawn
+RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
+MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
+CLEAN_SHARE = 0.7  # of the length of all edges of a plan that is not ragged goes along its directions
+MAX_FACES = 2_500  # of a floor drawn as coarsely as that
+MANY_CORNERS = 900  # of a room
+WALL_M = 0.15  # thickness of the walls around the building
+MOST_STARTS = 4
+HALL_M2 = 2_000.0  # of floor per room: with more the scale is in doubt
+START_CLEAR_M = 0.4  # between a start and every wall, where there is room
+DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
+NEAR_M = 0.1  # a point this close to a floor is on it
+MATCH = 0.3  # share of overlap from which a room has the name of a box
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,25 +122,6 @@ def _one_ring(floor: Polygon, floors: list[Polygon]) -> Polygon:
         longer = shapely.affinity.scale(cut, 1.0 + 0.1 / cut.length, 1.0 + 0.1 / cut.length)
         ring = max(shapely.get_parts(ring.difference(longer.buffer(SLIT_M / 2.0))), key=lambda part: part.area)
     return orient(Polygon(ring.exterior), 1.0)
-
-
-MAX_VERTICES = 50_000  # of a floor as it was read, those in the middle of an edge aside; with more it is thinned
-ON_EDGE_M = 1e-6  # a vertex so near to the line through its neighbours is in the middle of an edge
-MANY_VERTICES = 20_000  # from so many on the floor is thinned before all else
-MAX_THINNED = 8_000  # of a floor drawn as coarsely as its pixels are; one with more is drawn more coarsely
-COARSER_M = (0.09, 0.12, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5)  # how coarsely a large floor may be drawn
-RAGGED_NOISES_M = (0.09, 0.12, 0.15)  # how coarsely a ragged floor may be drawn
-MANY_FACES, SHORT_EDGE_M = 300, 1.0  # a ragged floor has so many faces, shorter than that in the mean
-CLEAN_SHARE = 0.7  # of the length of all edges of a plan that is not ragged goes along its directions
-MAX_FACES = 2_500  # of a floor drawn as coarsely as that
-MANY_CORNERS = 900  # of a room
-WALL_M = 0.15  # thickness of the walls around the building
-MOST_STARTS = 4
-HALL_M2 = 2_000.0  # of floor per room: with more the scale is in doubt
-START_CLEAR_M = 0.4  # between a start and every wall, where there is room
-DOOR_DEPTH_M = 0.01  # of a doorway in a layout, at least
-NEAR_M = 0.1  # a point this close to a floor is on it
-MATCH = 0.3  # share of overlap from which a room has the name of a box
 
 
 def layout_of(plan: FreeSpace, options: PlanOptions) -> Layout:

@@ -36,6 +36,12 @@ GAIN = 0.3  # beside any other doorway it is wider by such a share of its width,
 DEEP_GAIN = 1.1  # and by such a share beside one that may be the narrow part of a room:
 THICK_M, SINGLE_M = 0.4, 1.1  # at least so deep and so wide
 OFF_M = 0.08  # the ends of a doorway may lie so far from the walls
+APART_M = 0.6  # a frame is no part of a doorway that is further away
+INTO_WALL_M = 0.15  # how far a post reaches into its wall
+STANDING_OUT_M = (0.08, 0.25)  # how far a post stands out
+FRAME_POST_M, THICKEST_M = 0.1, 0.16  # thickness of a post
+DRIVEN_M = 0.6  # a doorway that the robot can drive through with a margin of 0.08 m
+ROOM_M = 0.35  # how far before and behind a doorway its rooms are looked up
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,12 +256,6 @@ def _needed(gap: Gap) -> float:
     return (DEEP_GAIN if deep else GAIN) * gap.width_m
 
 
-APART_M = 0.6  # a frame is no part of a doorway that is further away
-INTO_WALL_M = 0.15  # how far a post reaches into its wall
-STANDING_OUT_M = (0.08, 0.25)  # how far a post stands out
-FRAME_POST_M, THICKEST_M = 0.1, 0.16  # thickness of a post
-
-
 def with_frames(area: Polygon, drawn: Polygon, axes: tuple[float, ...], options: PlanOptions) -> Polygon:
     """`area`, which has straight walls, with the door frames that `drawn` has and where it has no doorway."""
     narrow = options.model_copy(update={"door_width_m": (options.door_width_m[0], FRAME_WIDTH_M)})
@@ -284,10 +284,6 @@ def _posts(gap: Gap, walls: Walls) -> list[Polygon]:
         inner, outer = sign * min(0.5 * gap.width_m, wall - STANDING_OUT_M[0]), sign * (wall + INTO_WALL_M)
         ends.append(((inner, -half), (outer, -half), (outer, half), (inner, half)))
     return [Polygon([gap.centre + u * gap.along + v * gap.through for u, v in end]) for end in ends]
-
-
-DRIVEN_M = 0.6  # a doorway that the robot can drive through with a margin of 0.08 m
-ROOM_M = 0.35  # how far before and behind a doorway its rooms are looked up
 
 
 def with_wider_doors(floor: Polygon, drawn: Polygon, axes: tuple[float, ...], options: PlanOptions) -> Polygon:

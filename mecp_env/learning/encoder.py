@@ -36,6 +36,12 @@ from mecp_env.policies.registry import VALID
 LAYERS = 8  # of the grid
 SCALES = 3
 NEVER = -1e9  # a logit of what may not be chosen
+CLASSES: dict[str, type[OnPolicyAlgorithm]] = {
+    "ppo": PPO,
+    "maskable_ppo": MaskablePPO,
+    "recurrent_ppo": RecurrentPPO,
+}
+FIRST_LOG_STD = -0.7  # of velocities: half of the largest
 
 
 def layers(*sizes: int) -> nn.Sequential:
@@ -220,14 +226,6 @@ class GoalPointerPolicy(MaskableMultiInputActorCriticPolicy):
         nn.init.zeros_(last.weight)
         nn.init.zeros_(last.bias)
         self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
-
-
-CLASSES: dict[str, type[OnPolicyAlgorithm]] = {
-    "ppo": PPO,
-    "maskable_ppo": MaskablePPO,
-    "recurrent_ppo": RecurrentPPO,
-}
-FIRST_LOG_STD = -0.7  # of velocities: half of the largest
 
 
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:

@@ -246,7 +246,7 @@ def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
     edge = log.frames.odometry(log.used)
     if recording.odometry.moves:
         return
-    if log.speeds.moves:
+    if np.any(log.speeds.poses):
         recording.odometry = driven(log.speeds)
         recording.notes.append("odometry is made of the speeds in its messages, whose poses never change")
     elif edge is not None and (log.frames.moving[edge].moves or not recording.odometry.t):

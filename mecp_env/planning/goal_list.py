@@ -13,6 +13,9 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.messages import NO_ID
 
+INTEGERS = ("kind", "room", "level", "visits", "door")  # columns of `Goals`
+LENGTHS = ("size_m", "path_m", "sigma_m", "sigma_rad", "gain_nat")
+
 
 class GoalKind(IntEnum):
     """Kinds of goals, in the order of the list."""
@@ -47,8 +50,6 @@ class Outcome(IntEnum):
 OPEN, CANDIDATE, FRONTIER, DOOR, PLACE, WAIT, LOOK = (
     GoalKind  # a name is found much faster than a member of an enumeration
 )
-INTEGERS = ("kind", "room", "level", "visits", "door")  # columns of `Goals`
-LENGTHS = ("size_m", "path_m", "sigma_m", "sigma_rad", "gain_nat")
 LOCAL = (OPEN, CANDIDATE, FRONTIER)  # a room is complete without these
 
 

@@ -23,6 +23,8 @@ from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph
 from mecp_env.slam.output import SlamOutput
 
+__all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
+
 
 def levels_from(start: int, neighbours: dict[int, set[int]]) -> dict[int, int]:
     """Number of steps from `start` to every node that can be reached."""
@@ -97,9 +99,6 @@ def rings_by_room(output: SlamOutput, rooms: set[int]) -> dict[int, list[Ints]]:
         if became[polygon.room] in rooms:
             rings[became[polygon.room]].append(polygon.ids)
     return rings
-
-
-__all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]
 
 
 @dataclass(slots=True, eq=False)

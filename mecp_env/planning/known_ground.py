@@ -27,6 +27,12 @@ from mecp_env.slam.output import SlamOutput
 
 SHORT_M = 0.5  # a landmark is in sight if the way to this far before it is free: it is on a wall
 WEIGHTS = 0.5  # sum of the weights of the landmarks in view
+SPOT_POINTS = 5  # of the path travelled, from one spot that may be a place to the next
+MOST_LOOPS = 3  # places that close a loop
+NEAR_M = 1.0  # what is nearer to the robot is no place to drive to
+LOOK_M, LOOK_DEG, KEEP_OFF_M = 3.0, 15.0, 0.6  # a look elsewhere: how far, how wide the way, how far from walls it ends
+AHEAD = 0.3  # by which the way ahead is preferred to the way back
+SIGHT_M = 4.0  # of the landmarks that make a spot a good one, at most
 
 
 def predict(
@@ -192,14 +198,6 @@ def correct_pose(P: Array, lever: tuple[float, float], cov: Array, weight: float
             P[i, j] -= a * PH[j, 0] + b * PH[j, 1]
             P[j, i] = P[i, j]
     return 0.5 * math.log(both / alone)
-
-
-SPOT_POINTS = 5  # of the path travelled, from one spot that may be a place to the next
-MOST_LOOPS = 3  # places that close a loop
-NEAR_M = 1.0  # what is nearer to the robot is no place to drive to
-LOOK_M, LOOK_DEG, KEEP_OFF_M = 3.0, 15.0, 0.6  # a look elsewhere: how far, how wide the way, how far from walls it ends
-AHEAD = 0.3  # by which the way ahead is preferred to the way back
-SIGHT_M = 4.0  # of the landmarks that make a spot a good one, at most
 
 
 class Surroundings(NamedTuple):

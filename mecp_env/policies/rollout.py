@@ -20,6 +20,22 @@ from mecp_env.episode.observations import COV_MAX
 from mecp_env.policies.registry import Policy, calls_of, ended, make_policy
 from mecp_env.policies.setting import Setting
 
+MASKS = "action_masks"
+LEVELS = (0.90, 0.99)
+SELECTED = ("layout", "estimator", "max_steps")  # fields that no policy selects
+COMPLETE_COVERAGE = 0.95
+NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
+LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
+KEPT = (  # of the environment's own summary
+    *("coverage", "correct_coverage", "metres", "periods"),
+    *("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
+    *("pose_error_final_m", "lost", "map_rmse_m", "landmarks", "landmarks_false", "duplicates", "contacts"),
+)
+Info = dict[str, Any]
+OnStep = Callable[[Info], None]
+See = Callable[[Any], Any]  # from an observation of the environment to that of a policy
+Env = gym.Env[Any, Any]
+
 
 @dataclass(slots=True, eq=False)
 class CoverageCurve:
@@ -76,24 +92,6 @@ class CoverageCurve:
         """Control steps to a coverage, at most `otherwise`, also where it was never reached."""
         row = self.first(level)
         return otherwise if row is None else min(float(self.steps[row]), otherwise)
-
-
-MASKS = "action_masks"
-LEVELS = (0.90, 0.99)
-SELECTED = ("layout", "estimator", "max_steps")  # fields that no policy selects
-COMPLETE_COVERAGE = 0.95
-NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
-LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
-KEPT = (  # of the environment's own summary
-    *("coverage", "correct_coverage", "metres", "periods"),
-    *("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
-    *("pose_error_final_m", "lost", "map_rmse_m", "landmarks", "landmarks_false", "duplicates", "contacts"),
-)
-
-Info = dict[str, Any]
-OnStep = Callable[[Info], None]
-See = Callable[[Any], Any]  # from an observation of the environment to that of a policy
-Env = gym.Env[Any, Any]
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,6 +31,17 @@ UNSAFE = re.compile(r"[^\w .,:/+@=-]")  # marks of Markdown, bars, line breaks, 
 LONGEST = 80  # characters of a name
 LESS_IS_BETTER = ("lost",)
 TRAINING = ("hours", "seeds")  # what is known of a training
+FORMAT, VERSION = "mecp_env/suite", 1
+MOST_BYTES = 50_000_000  # of a result file
+SAMPLES = 3  # buildings of each setting whose content is part of the hash
+FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
+EXPECTED = "name result files, as mecp-env submit writes them"
+METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
+ESTIMATORS = ("slam", "known", "truth")
+HALLS, CORRIDORS, CHEAP_ROBOT = (
+    Setting("", "test", "slam", 1500, f"Active{name}-v0") for name in ("Halls", "Corridors", "CheapRobot")
+)
+MEDIUM, HARD = (Setting(name, "test", "slam", 3000) for name in ("medium", "hard"))
 
 
 def safe_name(name: str) -> str:
@@ -128,15 +139,6 @@ def entries_of(content: Mapping[str, Any], metric: str, source: str) -> list[Ent
     ]
 
 
-FORMAT, VERSION = "mecp_env/suite", 1
-MOST_BYTES = 50_000_000  # of a result file
-SAMPLES = 3  # buildings of each setting whose content is part of the hash
-FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
-EXPECTED = "name result files, as mecp-env submit writes them"
-METRICS = ("correct_over_steps", "correct_over_metres", "correct_coverage", "auc", "coverage", "lost", "complete")
-ESTIMATORS = ("slam", "known", "truth")
-
-
 @dataclass(frozen=True, slots=True)
 class Suite:
     """Settings, each with the first so many buildings of its split, and the hash of all that fixes a result."""
@@ -151,10 +153,6 @@ class Suite:
         return [setting.name for setting in self.settings]
 
 
-HALLS, CORRIDORS, CHEAP_ROBOT = (
-    Setting("", "test", "slam", 1500, f"Active{name}-v0") for name in ("Halls", "Corridors", "CheapRobot")
-)
-MEDIUM, HARD = (Setting(name, "test", "slam", 3000) for name in ("medium", "hard"))
 SUITES = {
     "active-v1": Suite((HALLS, CORRIDORS, CHEAP_ROBOT), 200, "f3388a4466800053"),
     "active-quick-v1": Suite((HALLS,), 20, "50d59c8d8bb456d8"),

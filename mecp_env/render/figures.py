@@ -27,6 +27,32 @@ from mecp_env.render import palette, shapes
 from mecp_env.render.palette import unit
 from mecp_env.render.shapes import SceneView, loops, signed_area, summary
 
+DPI = 220  # a figure has at least twice the pixels of the place where a page shows it
+CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
+BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+ASIDE_M, BELOW_M = 0.5, 1.0  # around the building: the scale bar is below it
+TRUTH_GREY = (0.72, 0.73, 0.75)
+TRUE_PATH = palette.mix(palette.INK, palette.FREE, 0.55)
+NEES_BAND = 0.216, 9.348  # 95 % of a chi-square of 3 degrees of freedom
+LEAST_NEES, MOST_NEES = 0.02, 30.0  # of the axis, which a larger value makes longer
+NEES, COUNTS = "NEES, no unit", "on the map, count"
+Moment = Mapping[str, float]
+Line = tuple[str, str, palette.RGB, float]  # metric, its name, colour, factor
+PANELS: dict[str, tuple[Line, ...]] = {  # the label of the y axis, and what is over time
+    "position, cm": (("pose_error_m", "error", palette.HIT, 100.0), ("sigma3_m", "3 sigma", palette.FAINT, 100.0)),
+    NEES: (("nees", "NEES of the pose, 3 expected", palette.ESTIMATE, 1.0),),
+    "floor, %": (
+        ("correct_coverage", "correct coverage", palette.GOAL, 100.0),
+        ("coverage", "coverage", palette.FAINT, 100.0),
+    ),
+    COUNTS: (
+        ("landmarks", "landmarks", palette.LANDMARK, 1.0),
+        ("doors_found", "doors found", palette.DOOR, 1.0),
+        ("rooms_found", "rooms found", palette.ESTIMATE, 1.0),
+    ),
+}
+DASHES = ("-", "--", ":")
+
 
 def drawn(axes: Axes) -> dict[str, Any]:
     """`handles` and `labels` for a legend, of the artists that show something."""
@@ -40,14 +66,6 @@ def is_drawn(artist: Artist | Any) -> bool:
     if isinstance(artist, Line2D):
         return bool(np.isfinite(np.asarray(artist.get_xydata(), float)).all(axis=1).any())
     return len(artist.get_paths()) > 0 if isinstance(artist, Collection) else True
-
-
-DPI = 220  # a figure has at least twice the pixels of the place where a page shows it
-CAPTION_POINTS = 1400.0  # of all letters together: what fits into a line
-BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
-ASIDE_M, BELOW_M = 0.5, 1.0  # around the building: the scale bar is below it
-TRUTH_GREY = (0.72, 0.73, 0.75)
-TRUE_PATH = palette.mix(palette.INK, palette.FREE, 0.55)
 
 
 def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
@@ -161,34 +179,10 @@ def _plain(axes: Axes, bounds: Array) -> None:
     axes.set_ylim(bounds[0, 1] - BELOW_M, bounds[1, 1] + ASIDE_M)
 
 
-NEES_BAND = 0.216, 9.348  # 95 % of a chi-square of 3 degrees of freedom
-LEAST_NEES, MOST_NEES = 0.02, 30.0  # of the axis, which a larger value makes longer
-NEES, COUNTS = "NEES, no unit", "on the map, count"
-
-Moment = Mapping[str, float]
-
-
 def moment_of(view: SceneView) -> Moment:
     """What the curves show of one step: the metrics, and 3 sigma of the position (m) along its longer axis."""
     cov = view.slam_output.belief.pose_cov[:2, :2]
     return {**view.metrics, "sigma3_m": 3.0 * math.sqrt(max(float(np.linalg.eigvalsh(cov)[-1]), 0.0))}
-
-
-Line = tuple[str, str, palette.RGB, float]  # metric, its name, colour, factor
-PANELS: dict[str, tuple[Line, ...]] = {  # the label of the y axis, and what is over time
-    "position, cm": (("pose_error_m", "error", palette.HIT, 100.0), ("sigma3_m", "3 sigma", palette.FAINT, 100.0)),
-    NEES: (("nees", "NEES of the pose, 3 expected", palette.ESTIMATE, 1.0),),
-    "floor, %": (
-        ("correct_coverage", "correct coverage", palette.GOAL, 100.0),
-        ("coverage", "coverage", palette.FAINT, 100.0),
-    ),
-    COUNTS: (
-        ("landmarks", "landmarks", palette.LANDMARK, 1.0),
-        ("doors_found", "doors found", palette.DOOR, 1.0),
-        ("rooms_found", "rooms found", palette.ESTIMATE, 1.0),
-    ),
-}
-DASHES = ("-", "--", ":")
 
 
 def curves_figure(title: str, period_s: float, moments: Sequence[Moment]) -> Figure:

@@ -19,6 +19,20 @@ from mecp_env.slam.messages import Cell, SemanticGrid
 
 OCCUPIED = int(Cell.OCCUPIED)
 WALL = 0.22  # of the smoothed walls: those of one cell keep about its width
+MARGIN, HEADER, FOOTER = 12, 58, 28
+SMALL_MARGIN, SMALL_HEADER = 8, 44  # of a thumbnail
+Legend = tuple[tuple[str, palette.RGB, str], ...]
+LEGEND: Legend = (
+    ("true path", palette.TRUTH, "line"),
+    ("laser hit", palette.HIT, "dot"),
+    ("estimated path", palette.ESTIMATE, "line"),
+    ("recognised polygon", palette.POLYGON, "line"),
+    ("door", palette.DOOR, "line"),
+    ("goal", palette.GOAL, "dot"),
+    ("room: one colour each", palette.ROOMS[0], "dot"),
+)
+PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "square"),)
+MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "square"),)
 
 
 def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
@@ -130,22 +144,6 @@ def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
             brush.square(pixel, radius, palette.PLACE, width)
         else:
             brush.dot(pixel, radius, palette.GOAL, width)
-
-
-MARGIN, HEADER, FOOTER = 12, 58, 28
-SMALL_MARGIN, SMALL_HEADER = 8, 44  # of a thumbnail
-Legend = tuple[tuple[str, palette.RGB, str], ...]
-LEGEND: Legend = (
-    ("true path", palette.TRUTH, "line"),
-    ("laser hit", palette.HIT, "dot"),
-    ("estimated path", palette.ESTIMATE, "line"),
-    ("recognised polygon", palette.POLYGON, "line"),
-    ("door", palette.DOOR, "line"),
-    ("goal", palette.GOAL, "dot"),
-    ("room: one colour each", palette.ROOMS[0], "dot"),
-)
-PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "square"),)
-MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "square"),)
 
 
 class ScreenConfig(Settings):

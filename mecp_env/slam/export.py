@@ -31,6 +31,9 @@ from mecp_env.slam.messages import Belief, Cell, Door, RoomGraph, SemanticGrid
 
 Ring = Array  # (n,2), closed: the last point is the first; counter-clockwise around floor, clockwise around a hole
 Vertex = tuple[int, int]  # column, row of a corner of a cell
+COLUMNS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
+PathLike = str | os.PathLike[str]
+SUFFIXES = {"grid": (".yaml",), "joint_covariance": (".npz", ".csv")}
 
 
 def room_outline(grid: SemanticGrid, room: int) -> list[list[Ring]]:
@@ -114,11 +117,6 @@ def _strip(right: Array, left: Array, width_m: float) -> Ring:
     along = (left - right) / max(math.dist(left, right), 1e-9)
     side = 0.5 * width_m * np.array([-along[1], along[0]])
     return np.array([right - side, left - side, left + side, right + side, right - side])
-
-
-COLUMNS = ("id", "x_m", "y_m", "var_x_m2", "cov_xy_m2", "var_y_m2")
-
-PathLike = str | os.PathLike[str]
 
 
 class Level(IntEnum):
@@ -288,4 +286,3 @@ WRITERS: dict[str, Callable[[EstimatedMap, Path], list[Path]]] = {
     "grid": lambda what, path: save_grid(what.grid, path),
     "joint_covariance": save_joint,
 }
-SUFFIXES = {"grid": (".yaml",), "joint_covariance": (".npz", ".csv")}

@@ -18,6 +18,8 @@ from mecp_env.vector.shared_buffers import ALONE, INFO, MASK, RESULT, copied, in
 from mecp_env.vector.worker import Info, Infos, Makers
 
 Add = Callable[[Info, Info, int], Info]  # Gymnasium's own `_add_info`
+Bools = NDArray[np.bool_]
+Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
 
 def batched_infos(records: NDArray[Any], chosen: NDArray[np.bool_], rest: Infos, add: Add) -> Info:
@@ -66,10 +68,6 @@ def _without_texts(infos: Info, info: Info, row: int, count: int) -> Info:
             infos[name], infos[f"_{name}"] = np.full(count, None, object), np.zeros(count, np.bool_)
         infos[name][row], infos[f"_{name}"][row] = value, True
     return others
-
-
-Bools = NDArray[np.bool_]
-Step = tuple[Any, NDArray[np.float64], Bools, Bools, dict[str, Any]]
 
 
 class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct base of that name

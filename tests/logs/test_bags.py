@@ -193,12 +193,15 @@ def test_fields_that_a_driver_leaves_out(tmp_path: Path) -> None:
     np.testing.assert_allclose(log.ranges, drive()[2], atol=1e-5)
 
 
-def test_odometry_that_has_speeds_alone(tmp_path: Path) -> None:
+@pytest.mark.parametrize("constant", [False, True])
+def test_odometry_that_has_speeds_alone(constant: bool, tmp_path: Path) -> None:
     bag = BagWriter(tmp_path / "a.bag")
     t, poses, ranges = drive()
+    poses = np.outer(t - t[0], [0.2, 0.0, 0.0]) if constant else poses
     vector = bag.store.types["geometry_msgs/msg/Vector3"]
     for n in range(len(t)):
-        x, y, turn = (between(poses[n], poses[min(n + 1, len(t) - 1)]) / 0.25).tolist()
+        last = min(n, len(t) - 2)
+        x, y, turn = (between(poses[last], poses[last + 1]) / 0.25).round(9).tolist()
         bag.odometry(t[n], np.zeros(3))
         bag.messages[-1][3].twist.twist = bag.store.types["geometry_msgs/msg/Twist"](
             vector(x, y, 0.0), vector(0.0, 0.0, turn)

@@ -36,6 +36,24 @@ WIDE_M = 0.05  # range noise that straight walls are looked for with: with less 
 LINE_BEAMS, LEAST_COSINE = 10, 0.7  # of a wall that tells the range noise: beams, and cosine of their incidence
 TRIM = 2  # beams at each end of a line that may be on something else
 STRAIGHT_SHARE = 0.9  # of the lines; the others may be no walls
+LEAST_M, LEAST_RAD = 1.0, math.radians(30.0)  # of the motion between two scans that are registered, typically
+AT_REST, STILL = 0.1, 1e-4  # of both: a motion of the laser, and a step of the odometry, up to which there is none
+MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
+BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
+PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
+NAMES = ("distance_scale", "turn_scale", "turn_bias_rad_per_m", "x_m", "heading_rad")
+SHORT_M = 0.05  # a shorter motion has no direction
+NOTHING = np.array([1.0, 1.0, 0.0, 0.0, 0.0])  # of an odometry without errors, on a robot as it is described
+SPREAD = np.array([0.1, 0.1, 0.1, 0.3, 0.1])  # how far a robot is off, as in `NAMES`: a weak prior
+ROUNDS = 4  # in which fit and noise follow each other
+NOISE_ROUNDS = 12  # of reweighting
+FARTHEST = 9.0  # of the variance, to which a square is cut;
+CUT_GAUSS = 0.9733  # the mean of a Gaussian's squares is this part then
+FLOOR = np.array([1e-3, 1e-3, 1e-4]) ** 2  # m^2, m^2, rad^2: of a motion, so that weights are finite
+COVERED = 0.98  # of the motions
+TOLD_M, TOLD_RAD = 0.05, math.radians(1.0)  # sigmas of a registration that tells a distance, and a turn
+SIDE = 0.3125  # the variance to the side, per d^2, of a unit variance of the turn over two arcs of half the distance d
+ALONG, LEFT, TURN = range(3)  # the components of a residual
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,13 +102,6 @@ def _variances(seen: View) -> list[float]:
             off -= design @ np.linalg.lstsq(design, off, rcond=None)[0]
             found.append(float(off @ off) / (len(on) - 2))
     return found
-
-
-LEAST_M, LEAST_RAD = 1.0, math.radians(30.0)  # of the motion between two scans that are registered, typically
-AT_REST, STILL = 0.1, 1e-4  # of both: a motion of the laser, and a step of the odometry, up to which there is none
-MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
-BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
-PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,11 +188,6 @@ def _prior(step: Array) -> Array:
     return prior
 
 
-NAMES = ("distance_scale", "turn_scale", "turn_bias_rad_per_m", "x_m", "heading_rad")
-SHORT_M = 0.05  # a shorter motion has no direction
-NOTHING = np.array([1.0, 1.0, 0.0, 0.0, 0.0])  # of an odometry without errors, on a robot as it is described
-
-
 class Residuals(NamedTuple):
     """What is left of the measured motions, along the chord of each, to its left, and in heading."""
 
@@ -255,10 +261,6 @@ def _turn_moves(lever: Array, heading: float) -> tuple[Array, Array]:
     return -y, x
 
 
-SPREAD = np.array([0.1, 0.1, 0.1, 0.3, 0.1])  # how far a robot is off, as in `NAMES`: a weak prior
-ROUNDS = 4  # in which fit and noise follow each other
-
-
 class Systematic(NamedTuple):
     """What was found, in the order of `NAMES`."""
 
@@ -289,16 +291,6 @@ def fitted(motions: Motions, T_robot_laser: Array, start: Array, free: Ints) -> 
         jacobian = np.asarray(found.jac)
         sigmas[free] = np.sqrt(np.diag(np.linalg.inv(jacobian.T @ jacobian)))
     return Systematic(values, sigmas)
-
-
-NOISE_ROUNDS = 12  # of reweighting
-FARTHEST = 9.0  # of the variance, to which a square is cut;
-CUT_GAUSS = 0.9733  # the mean of a Gaussian's squares is this part then
-FLOOR = np.array([1e-3, 1e-3, 1e-4]) ** 2  # m^2, m^2, rad^2: of a motion, so that weights are finite
-COVERED = 0.98  # of the motions
-TOLD_M, TOLD_RAD = 0.05, math.radians(1.0)  # sigmas of a registration that tells a distance, and a turn
-SIDE = 0.3125  # the variance to the side, per d^2, of a unit variance of the turn over two arcs of half the distance d
-ALONG, LEFT, TURN = range(3)  # the components of a residual
 
 
 def noise_of(left: Residuals) -> Array:

@@ -25,6 +25,7 @@ from mecp_env.slam.messages import NO_ID, Corners, MapView
 from mecp_env.slam.protocols import Filter
 
 Relations = tuple[Array, Array, Array]  # (n,n) m distances, rad directions, m^2 variances of the distances
+FEWER = 2  # pairs that the clique of a rival may have less than the best pose has
 
 
 class Headings(NamedTuple):
@@ -240,9 +241,6 @@ def limit_gain(nodes: Ints, count: int, group: Ints, added: Array, left: Ints, l
         cheapest = min(cheapest, added[q]) if same else added[q]
         left[q] = left[q + 1] if same else left[q + 1] + 1
         least[q] = rest + cheapest
-
-
-FEWER = 2  # pairs that the clique of a rival may have less than the best pose has
 
 
 @dataclass(slots=True)

@@ -25,6 +25,9 @@ from mecp_env.slam.protocols import Filter
 
 NOWHERE = np.empty(0, np.int64)
 FIXED = -math.inf  # cost of a pair that a polygon match has fixed: below every NIS
+ROW = row_type([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)])
+INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)
+INITIAL_BYTES = INITIAL.view(np.uint8)  # copied, faster than filled, and faster than as rows
 
 
 @lru_cache
@@ -243,11 +246,6 @@ def greedy_joint_compatibility(
             alive[q] = alive[q] and corner[q] != corner[p] and landmark[q] != landmark[p]
         condition(nu, S, p, alive)
     return accepted, ambiguous
-
-
-ROW = row_type([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)])
-INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)
-INITIAL_BYTES = INITIAL.view(np.uint8)  # copied, faster than filled, and faster than as rows
 
 
 class MatchBuilder:

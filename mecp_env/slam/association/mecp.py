@@ -37,6 +37,9 @@ from mecp_env.slam.messages import (
 )
 from mecp_env.slam.protocols import Associator, Filter
 
+NONE = np.empty(0, np.int64)
+OPEN = sys.float_info.max  # a gate that every NIS passes but inf, that of another descriptor
+
 
 @carrier
 class PolygonMatch:
@@ -157,10 +160,6 @@ def _agreed(
         if rival[0] < nis + rival_gap:
             agreed &= rival[2] == ids
     return (map_polygon, corners[agreed], ids[agreed]) if agreed.sum() >= 3 else None
-
-
-NONE = np.empty(0, np.int64)
-OPEN = sys.float_info.max  # a gate that every NIS passes but inf, that of another descriptor
 
 
 @dataclass(slots=True, eq=False)

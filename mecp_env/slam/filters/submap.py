@@ -46,6 +46,7 @@ from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import FilterError
 
 ROUNDING = float(np.finfo(np.float64).eps)
+NO_IDS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,9 +162,6 @@ def numbers_of(slots: Ints) -> Ints:
     numbers: Ints = np.repeat(3 + 2 * slots, 2)
     numbers[1::2] += 1
     return numbers
-
-
-NO_IDS = np.empty(0, np.int64)
 
 
 class Expanded(NamedTuple):

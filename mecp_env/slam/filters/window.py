@@ -35,6 +35,7 @@ from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import FilterError
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
+FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
 
 
 @compiled
@@ -222,9 +223,6 @@ class Divergence:
         failed = isinstance(error, FilterError)
         self.found |= failed
         return failed
-
-
-FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
 
 
 class Window(NamedTuple):

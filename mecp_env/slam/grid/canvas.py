@@ -15,6 +15,9 @@ from mecp_env.slam.grid.cells import DOOR_CELL, UNKNOWN_CELL
 from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 
 SEVERAL = -2  # more than one room, or a door
+GROWTH_CELLS = 20  # the grid grows by multiples of this
+MAP_FRAME = np.zeros(3)  # the pose of points that are in the map frame already
+NOTHING = (2**40, -1, 2**40, -1)  # an empty window
 
 
 def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bools:
@@ -117,11 +120,6 @@ def paint_runs(runs: Ints, chosen: Bools, shape: tuple[int, int]) -> Bools:
         if chosen[i]:
             mask[runs[i, 0], runs[i, 1] : runs[i, 2]] = True
     return mask
-
-
-GROWTH_CELLS = 20  # the grid grows by multiples of this
-MAP_FRAME = np.zeros(3)  # the pose of points that are in the map frame already
-NOTHING = (2**40, -1, 2**40, -1)  # an empty window
 
 
 def empty_grid(resolution_m: float) -> SemanticGrid:

@@ -40,6 +40,7 @@ from mecp_env.slam.messages import (
 TRACK, MAPPED, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)
 JAMB = int(CornerKind.JAMB)
 NEW, PROVISIONAL = int(Decision.NEW), int(Decision.PROVISIONAL)
+SAME_NIS = chi2_of_point(0.95)  # 95 % of the landmarks that are one corner lie inside
 
 
 def track_corners(
@@ -177,9 +178,6 @@ def find_unconfirmed(rows: Rows, landmarks: Ints, config: Rows, step: int) -> In
             found[count] = f
             count += 1
     return found[:count]
-
-
-SAME_NIS = chi2_of_point(0.95)  # 95 % of the landmarks that are one corner lie inside
 
 
 def find_duplicate(features: FeatureTable, belief: Belief, match: Match, config: SlamConfig) -> tuple[int, int] | None:

@@ -33,6 +33,7 @@ from mecp_env.slam.messages import (
 from mecp_env.slam.protocols import Filter
 
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
+REFUSED = int(Reason.REFUSED)
 
 
 class Agreement(NamedTuple):
@@ -167,9 +168,6 @@ def count_ends(
                 clear &= label[r, c] == FREE
         walls, floors = walls + wall, floors + clear
     return walls, floors, count
-
-
-REFUSED = int(Reason.REFUSED)
 
 
 @dataclass(slots=True, eq=False)

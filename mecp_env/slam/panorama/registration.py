@@ -23,6 +23,7 @@ from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.messages import MergedScan, Segments
 
 Points = tuple[Array, Array, Array]  # points (n,2) m, normals (n,2) or 0, sigmas (n,) m: a `Surfaces` as a plain tuple
+Prior = tuple[Array, Array]  # T_past_now (3,) and its covariance (3,3)
 
 
 class Index(NamedTuple):
@@ -248,9 +249,6 @@ def joined_surfaces(parts: Sequence[Surfaces]) -> Surfaces:
     """All surfaces of at least one part, in one frame."""
     points, normals, sigmas = zip(*((part.points, part.normals, part.sigmas) for part in parts), strict=True)
     return Surfaces(np.concatenate(points), np.concatenate(normals), np.concatenate(sigmas))
-
-
-Prior = tuple[Array, Array]  # T_past_now (3,) and its covariance (3,3)
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,6 +18,8 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import MecpError
 from mecp_env.core.se2 import between, wrapped
 
+Part = tuple[csr_array, csr_array, Array]  # J (r,3n+2l), W (r,r), errors (r,)
+
 
 class SmoothingError(MecpError):
     """The optimum of a pose graph is not reached, or a covariance is singular."""
@@ -271,9 +273,6 @@ def system_at(graph: PoseGraph, weights: Weights) -> System:
         JW = J.T @ W
         H, g = H + JW @ J, g + JW @ e
     return System(csc_array(H), g)
-
-
-Part = tuple[csr_array, csr_array, Array]  # J (r,3n+2l), W (r,r), errors (r,)
 
 
 def sightings_part(graph: PoseGraph, weights: Weights) -> Part:
