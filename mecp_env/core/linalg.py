@@ -263,23 +263,18 @@ def pick_measurements(z: Array, cov: Array, index: Ints, some_z: Array, some_cov
 
 
 @compiled
-def diagonal_blocks(cov: Array, blocks: Array) -> None:
-    """Write the 2x2 blocks (n,2,2) on the diagonal of cov (2n,2n)."""
-    for i in range(blocks.shape[0]):
-        for u in range(2):
-            for v in range(2):
-                blocks[i, u, v] = cov[2 * i + u, 2 * i + v]
+def inflate(cov: Array, z: Array, place: float, turn: float, inflated: Array) -> None:
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of each point added.
 
-
-@compiled
-def inflate(cov: Array, z: Array, sigma: Array, inflated: Array) -> None:
-    """Write cov (2n,2n) of ranges and bearings z (n,2) with independent errors of sigma (n,) m added to the points."""
+    Its sigma is place / r + turn r in m at a range r, with `place` in m^2 and `turn` in rad.
+    """
     for i in range(cov.shape[0]):
         for j in range(cov.shape[0]):
             inflated[i, j] = cov[i, j]
     for i in range(z.shape[0]):
-        inflated[2 * i, 2 * i] += sigma[i] * sigma[i]
-        inflated[2 * i + 1, 2 * i + 1] += (sigma[i] / z[i, 0]) ** 2
+        sigma = place / z[i, 0] + turn * z[i, 0]
+        inflated[2 * i, 2 * i] += sigma * sigma
+        inflated[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
 
 
 @compiled

@@ -8,6 +8,7 @@ drives gives one sweep per pose: `sweeps` is 1 but for the burst of the paper. L
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -29,12 +30,12 @@ class LaserView(Settings):
     y_m: float = Field(0.0, ge=-2.0, le=2.0)  # to the left of it
     heading_deg: float = Field(0.0, ge=-180.0, le=180.0)  # counter-clockwise from straight ahead
 
-    @property
+    @cached_property
     def field_of_view_rad(self) -> float:
         """The field of view, in radians."""
         return math.radians(self.field_of_view_deg)
 
-    @property
+    @cached_property
     def is_centred(self) -> bool:
         """True when the laser's frame is the robot's."""
         return self.x_m == 0.0 and self.y_m == 0.0 and self.heading_deg == 0.0

@@ -214,9 +214,10 @@ class Settings(BaseModel):
         return packed
 
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
-        """A copy with other values, not validated; its `record` is made again."""
+        """A copy with other values, not validated; what follows from them is computed again."""
         copied = super().model_copy(update=update, deep=deep)
-        copied.__dict__.pop("record", None)
+        for derived in copied.__dict__.keys() - type(self).model_fields.keys():
+            del copied.__dict__[derived]
         return copied
 
     @classmethod

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from mecp_env.core.carriers import Array
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import MecpError
 from mecp_env.core.errors import SensorError as SensorError
 from mecp_env.core.jit import compiled
@@ -138,11 +138,20 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     if not isinstance(match, Match):
         raise MatchError(f"match: {type(match).__name__}, a Match expected")
     _require_arrays(match, COLUMNS, (corners,), "match", MatchError)
-    ids, decisions = match.ids.tolist(), match.decision.tolist()
-    named = [id_ for id_, decision in zip(ids, decisions, strict=True) if decision in WITH_ID]
-    if not (DECISIONS.issuperset(decisions) and min(named, default=0) >= 0 and max(named, default=-1) < features):
-        _refuse(ids, decisions, features)
+    if not is_decided(match.ids, match.decision, features):
+        _refuse(match.ids.tolist(), match.decision.tolist(), features)
     return match
+
+
+@compiled
+def is_decided(ids: Ints, decision: Ints, features: int) -> bool:
+    """True when each corner has a decision, and an id below `features` where that names one; ids and decision (n,)."""
+    sound = True
+    for i in range(ids.shape[0]):
+        named = decision[i] == Decision.LANDMARK or decision[i] == Decision.PROVISIONAL
+        known = named or decision[i] == Decision.NEW or decision[i] == Decision.IGNORED
+        sound &= known and (not named or 0 <= ids[i] < features)
+    return sound
 
 
 def _refuse(ids: list[int], decisions: list[int], features: int) -> None:

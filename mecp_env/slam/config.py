@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cached_property
 from typing import Annotated, Any, ClassVar, Literal, Self
 
 from pydantic import AfterValidator, Field
@@ -230,19 +231,19 @@ class AssociationConfig(Settings):
     search_budget: int = Field(100_000, ge=1, le=100_000_000)  # nodes that jcbb and ccda try at most in a scan; then
     # the best set of pairs so far counts
 
-    @property
+    @cached_property
     def ignore_gate(self) -> float:
         """NIS of a corner and a landmark; twice the gate, as a landmark is that near by chance."""
         return 2.0 * chi2_of_point(self.gate_probability) if self.ignore_near else 0.0
 
-    @property
+    @cached_property
     def face_turn_rad(self) -> float:
         """The most by which a face may turn: any turn where descriptors are not used."""
         return math.radians(self.descriptor_deg) if self.use_descriptor else math.pi
 
     def is_sharp(self, belief: Belief) -> bool:
         """True while the pose is so well known that one linearisation is enough."""
-        x, y, heading = map(belief.pose_cov.item, (0, 4, 8))
+        (x, _, _), (_, y, _), (_, _, heading) = belief.pose_cov.tolist()
         known: bool = max(x, y) < self.sharp_sigma_m**2
         return known and heading < self.sharp_sigma_m**2
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows, carrier, row_type
-from mecp_env.core.linalg import diagonal_blocks, inflate, pick_measurements
+from mecp_env.core.linalg import inflate, pick_measurements
 
 UNKNOWN_ROOM = -1
 HERE = -2  # the room of what is not seen through a door
@@ -164,8 +164,8 @@ class Corners:
     @property
     def R(self) -> Array:
         """(n,2,2) covariance of each corner's own range and bearing."""
-        blocks = np.empty((len(self), 2, 2))
-        diagonal_blocks(self.cov, blocks)
+        n = len(self)
+        blocks: Array = self.cov.reshape(n, 2, n, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
         return blocks
 
     def with_linearisation(self, pose_cov: Array) -> Corners:
@@ -177,9 +177,9 @@ class Corners:
         times the variance of the heading; both grow with the sensor's own uncertainty, and are nothing for a pose that
         is known.
         """
-        x, y, heading = map(pose_cov.item, (0, 4, 8))
-        ranges, cov = self.z[:, 0], np.empty(self.cov.shape)
-        inflate(self.cov, self.z, 0.5 * (x + y) / ranges + heading * ranges, cov)
+        (x, _, _), (_, y, _), (_, _, heading) = pose_cov.tolist()
+        cov = np.empty(self.cov.shape)
+        inflate(self.cov, self.z, 0.5 * (x + y), heading, cov)
         marks = self.kind, self.convex, self.normals, self.beyond, self.sites
         return Corners(self.z, cov, *marks, self.doorways)
 

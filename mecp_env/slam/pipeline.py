@@ -58,7 +58,7 @@ class SlamPipeline(SlamParts):
         view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
         associated, updated, evidence = self._localise(around, view, tracked)  # III-B
         belief = self.divergence.watch(self.filter.belief())
-        if self.guard.trusts(evidence._replace(tracked=tracked, vouched=self.recent.vouched)):
+        if self.guard.trusts(evidence.followed(tracked, self.recent.vouched)):
             seen = Sighting(corners, updated, through, belief, self.step_count)
             match, belief = self._map_scan(around, seen, evidence.sharp)  # III-B.1
         else:

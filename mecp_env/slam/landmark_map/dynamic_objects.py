@@ -15,6 +15,7 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import directions
 from mecp_env.slam.config import DynamicObjectsConfig, SensorModel
 from mecp_env.slam.messages import (
     NO_ID,
@@ -104,12 +105,14 @@ def mark_dynamic(
     """
     (mixed, sigmas), dynamic, found = noise, np.zeros(ranges.shape[0], np.bool_), False
     x, y, heading = T_map_robot
+    ahead, aside, beams = math.cos(heading), math.sin(heading), directions(bearings)
     place_sigma = math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
     turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
     for i in range(ranges.shape[0]):
         on_floor = hit[i]
         if on_floor:
-            p_x, p_y = x + ranges[i] * math.cos(heading + bearings[i]), y + ranges[i] * math.sin(heading + bearings[i])
+            c, s = beams[0, i], beams[1, i]
+            p_x, p_y = x + ranges[i] * (ahead * c - aside * s), y + ranges[i] * (aside * c + ahead * s)
             sigma = place_sigma + ranges[i] * turn_sigma
             on_floor = is_floor(floor, p_x, p_y, config[0].margin_m + sigmas * sigma)
         run = run + 1 if on_floor else 0
@@ -125,13 +128,13 @@ def is_floor(floor: tuple[Bytes, Array, float], x: float, y: float, margin: floa
     """True when every cell within `margin` of (x, y) is known to be free."""
     label, origin, resolution = floor
     column, row, near = (x - origin[0]) / resolution, (y - origin[1]) / resolution, margin / resolution
-    low_r, high_r, low_c, high_c = math.floor(row - near), math.floor(row + near), 0, 0
-    low_c, high_c = math.floor(column - near), math.floor(column + near)
-    if low_r < 0 or low_c < 0 or high_r >= label.shape[0] or high_c >= label.shape[1]:
+    if not (near <= row < label.shape[0] - near and near <= column < label.shape[1] - near):
         return False
-    centre = label[math.floor(row), math.floor(column)]
+    centre = label[math.floor(row), math.floor(column)]  # most hits are on walls: nothing else is asked
     if centre != FREE and centre != DOOR:
         return False
+    low_r, high_r = math.floor(row - near), math.floor(row + near)
+    low_c, high_c = math.floor(column - near), math.floor(column + near)
     for r in range(low_r, high_r + 1):
         for c in range(low_c, high_c + 1):
             if label[r, c] != FREE and label[r, c] != DOOR and math.hypot(c + 0.5 - column, r + 0.5 - row) < near:

@@ -79,18 +79,12 @@ def _follow_and_start(features: FeatureTable, corners: Corners, match: Match, tr
 
 def drop_tracks(features: FeatureTable, step: int, config: TrackConfig) -> bool:
     """Drop the tracks that were not seen for `config.window_steps`; true when there are any."""
-    return _drop_tracks(features.rows, step - config.window_steps) > 0
-
-
-@compiled
-def _drop_tracks(rows: Rows, oldest: int) -> int:
-    """Set the tracks dead that were last seen before the step `oldest`; returns how many."""
-    count = 0
-    for f in range(rows.shape[0]):
-        if rows[f].state == TRACK and rows[f].last_step < oldest:
-            rows[f].state = DEAD
-            count += 1
-    return count
+    rows = features.rows
+    lost = (rows["state"] == TRACK) & (rows["last_step"] < step - config.window_steps)
+    if not lost.any():
+        return False
+    rows["state"][lost] = DEAD
+    return True
 
 
 @compiled
@@ -277,6 +271,10 @@ def count_doubts(
     gone = np.empty(ids.shape[0], np.int64)
     c, s, count = math.cos(T_map_robot[2]), math.sin(T_map_robot[2]), 0
     place_var, turn_var = pose_cov[0, 0] + pose_cov[1, 1], pose_cov[2, 2]
+    across = np.empty((2, line.shape[0]))  # unit normals of the walls
+    for k in range(line.shape[0]):
+        across[0, k], across[1, k] = math.cos(line[k, 0]), math.sin(line[k, 0])
+    walls = points, line, across
     for k in range(ids.shape[0]):
         dx, dy = p_map[k, 0] - T_map_robot[0], p_map[k, 1] - T_map_robot[1]
         r, f = math.hypot(dx, dy), ids[k]
@@ -288,7 +286,7 @@ def count_doubts(
         x, y = c * dx + s * dy, c * dy - s * dx
         slack, heading = limits.sigmas * sigma, T_map_robot[2]
         absent = is_seen_through((ranges, bearings, blind), r, math.atan2(y, x), slack, limits)
-        if not absent and not is_inside_wall(points, line, x, y, rows[f].normals, heading, slack, limits):
+        if not absent and not is_inside_wall(walls, x, y, rows[f].normals, heading, slack, limits):
             continue
         rows[f].doubts += 1
         if rows[f].doubts >= limits.scans:
@@ -318,17 +316,26 @@ def is_seen_through(
 
 @compiled
 def is_inside_wall(
-    points: Array, line: Array, x: float, y: float, normals: Array, heading: float, slack: float, limits: PruneLimits
+    walls: tuple[Array, Array, Array],
+    x: float,
+    y: float,
+    normals: Array,
+    heading: float,
+    slack: float,
+    limits: PruneLimits,
 ) -> bool:
     """True when a straight wall is seen on both sides of a corner's place x, y, robot frame, and is one of its faces.
 
-    `normals` (2,) of its faces, map frame: a wall that faces the other way is that of the room behind it.
+    `walls` are points (L,2,2), lines (L,2) and normals (2,L) of the segments; `normals` (2,) those of the corner's
+    faces, map frame: a wall that faces the other way is that of the room behind it.
     """
+    points, line, across = walls
     for k in range(line.shape[0]):
-        off = x * math.cos(line[k, 0]) + y * math.sin(line[k, 0]) - line[k, 1]
+        if abs(x * across[0, k] + y * across[1, k] - line[k, 1]) > 0.5 * limits.beside_m:
+            continue
         towards = line[k, 0] + math.pi + heading
         first, second = abs(wrap_angle(normals[0] - towards)), abs(wrap_angle(normals[1] - towards))  # nan: unseen
-        if abs(off) > 0.5 * limits.beside_m or not (first < limits.facing or second < limits.facing):
+        if not (first < limits.facing or second < limits.facing):
             continue
         ux, uy = points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1]
         length = math.hypot(ux, uy)

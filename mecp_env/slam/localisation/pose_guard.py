@@ -114,6 +114,10 @@ class Evidence(NamedTuple):
         fewer = self.said.share < other.said.share or self.said.explained < other.said.explained
         return self.is_strong and self.recognised > other.recognised and not fewer
 
+    def followed(self, tracked: bool, vouched: bool) -> Evidence:
+        """The same, with what the window of recent scans says."""
+        return Evidence(*self[:6], vouched, tracked)
+
     def doubted(self) -> Evidence:
         """The evidence of a place that looks like another one: none."""
         return Evidence(self.said._replace(share=0.0), 0.0, sharp=False)
@@ -210,7 +214,7 @@ class PoseGuard:
 
     def follow(self, odometry: Odometry) -> None:
         """Note how far the robot has moved until the pose is searched for, and from then on where nothing is mapped."""
-        metres, turn = np.abs(odometry.increments).sum(axis=0).tolist()
+        metres, turn = (sum(map(abs, column)) for column in odometry.increments.T.tolist())
         if self.localised:
             self.travelled, self.turned = self.travelled + metres, self.turned + turn
         else:
