@@ -77,27 +77,6 @@ def inverse(T_a_b: Array) -> Array:
 
 
 @compiled
-def directions(bearings: Array) -> Array:
-    """Cosines and sines (2,B) of bearings (B,): each from the one before where it is near, without trigonometry."""
-    size = bearings.shape[0]
-    both = np.empty((2, size))
-    cosine, sine = both[0], both[1]
-    for i in range(1, size):  # of the turn from the bearing before
-        turn = bearings[i] - bearings[i - 1]
-        q = turn * turn
-        cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
-        sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
-    c, s = 1.0, 0.0
-    for i in range(size):
-        if i > 0 and abs(bearings[i] - bearings[i - 1]) < 0.02:  # rad: the series is exact to the last digit
-            c, s = c * cosine[i] - s * sine[i], s * cosine[i] + c * sine[i]
-        else:
-            c, s = math.cos(bearings[i]), math.sin(bearings[i])
-        cosine[i], sine[i] = c, s
-    return both
-
-
-@compiled
 def polar_to_points(z: Array) -> Array:
     """Points (n,2) of ranges and bearings z (n,2)."""
     points = np.empty_like(z)

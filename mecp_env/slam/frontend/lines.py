@@ -14,7 +14,6 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import directions
 from mecp_env.slam.frontend.beams import Noise, Record
 
 ITERATIONS = 2
@@ -131,15 +130,25 @@ def beam_points(polar: Array, noise: Noise) -> tuple[Array, Array]:
     """
     size = polar.shape[1]
     points, sums = np.empty((5, size)), np.empty((size + 1, 8))
-    ranges, count, beams = polar[0], polar[2], directions(polar[1])
-    along_ray, across_ray = points[2], points[3]
+    ranges, bearings, count = polar[0], polar[1], polar[2]
+    cosine, sine, along_ray, across_ray = points[0], points[1], points[2], points[3]
+    for i in range(1, size):  # of the turn from the beam before, where it is small: without trigonometry
+        turn = bearings[i] - bearings[i - 1]
+        q = turn * turn
+        cosine[i] = 1.0 - q / 2.0 * (1.0 - q / 12.0 * (1.0 - q / 30.0))
+        sine[i] = turn * (1.0 - q / 6.0 * (1.0 - q / 20.0))
     for i in range(size):
         along_ray[i] = max(noise.range_m, noise.share * ranges[i]) ** 2 / count[i]
         across_ray[i] = (ranges[i] * noise.bearing) ** 2 / count[i]
     for k in range(8):
         sums[0, k] = 0.0
+    c, s = 1.0, 0.0
     for i in range(size):
-        r, along, across, c, s = polar[0, i], points[2, i], points[3, i], beams[0, i], beams[1, i]
+        r, along, across = polar[0, i], points[2, i], points[3, i]
+        if i > 0 and abs(polar[1, i] - polar[1, i - 1]) < 0.02:  # rad: the series below is exact to the last digit
+            c, s = c * points[0, i] - s * points[1, i], s * points[0, i] + c * points[1, i]
+        else:
+            c, s = math.cos(polar[1, i]), math.sin(polar[1, i])
         x, y = r * c, r * s
         points[0, i], points[1, i] = x, y
         sums[i + 1, 0], sums[i + 1, 1] = sums[i, 0] + x, sums[i, 1] + y

@@ -15,7 +15,6 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import directions
 from mecp_env.slam.config import DynamicObjectsConfig, SensorModel
 from mecp_env.slam.messages import (
     NO_ID,
@@ -103,41 +102,50 @@ def mark_dynamic(
     `floor` is the labels (H,W), the origin and the resolution of the grid; `noise` how many neighbours it mixes, which
     are no object, and the sigmas of the place of a hit by which the margin grows.
     """
-    (mixed, sigmas), dynamic, found = noise, np.zeros(ranges.shape[0], np.bool_), False
-    x, y, heading = T_map_robot
-    ahead, aside, beams = math.cos(heading), math.sin(heading), directions(bearings)
-    place_sigma = math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
-    turn_sigma, run = math.sqrt(max(pose_cov[2, 2], 0.0)), 0
-    for i in range(ranges.shape[0]):
-        on_floor = hit[i]
-        if on_floor:
-            c, s = beams[0, i], beams[1, i]
-            p_x, p_y = x + ranges[i] * (ahead * c - aside * s), y + ranges[i] * (aside * c + ahead * s)
-            sigma = place_sigma + ranges[i] * turn_sigma
-            on_floor = is_floor(floor, p_x, p_y, config[0].margin_m + sigmas * sigma)
-        run = run + 1 if on_floor else 0
-        if run > mixed:
-            found = True
-            for k in range(run):
-                dynamic[i - k] = True
+    needed, last, dynamic, found = noise[0] + 1, -1, np.zeros(ranges.shape[0], np.bool_), False
+    place = config[0].margin_m + noise[1] * math.sqrt(max(pose_cov[0, 0] + pose_cov[1, 1], 0.0))
+    margin = place, noise[1] * math.sqrt(max(pose_cov[2, 2], 0.0))
+    beams = ranges, bearings, hit
+    for probe in range(needed - 1, ranges.shape[0], needed):  # a run of so many holds one of them
+        if probe <= last or not ends_on_floor(beams, probe, T_map_robot, floor, margin):
+            continue
+        first, last = probe, probe
+        while first > 0 and ends_on_floor(beams, first - 1, T_map_robot, floor, margin):
+            first -= 1
+        while last + 1 < ranges.shape[0] and ends_on_floor(beams, last + 1, T_map_robot, floor, margin):
+            last += 1
+        if last - first + 1 >= needed:
+            dynamic[first : last + 1] = found = True
     return dynamic if found else dynamic[:0]
 
 
 @compiled
-def is_floor(floor: tuple[Bytes, Array, float], x: float, y: float, margin: float) -> bool:
-    """True when every cell within `margin` of (x, y) is known to be free."""
-    label, origin, resolution = floor
-    column, row, near = (x - origin[0]) / resolution, (y - origin[1]) / resolution, margin / resolution
-    if not (near <= row < label.shape[0] - near and near <= column < label.shape[1] - near):
+def ends_on_floor(
+    beams: tuple[Array, Array, Bools],
+    beam: int,
+    T_map_robot: Array,
+    floor: tuple[Bytes, Array, float],
+    margin: tuple[float, float],
+) -> bool:
+    """True when a beam hits something and all cells within a margin (m, and a share of the range) are known as free."""
+    (ranges, bearings, hit), (label, origin, resolution) = beams, floor
+    if not hit[beam]:
         return False
-    centre = label[math.floor(row), math.floor(column)]  # most hits are on walls: nothing else is asked
-    if centre != FREE and centre != DOOR:
-        return False
+    far, heading = ranges[beam], T_map_robot[2] + bearings[beam]
+    column = (T_map_robot[0] + far * math.cos(heading) - origin[0]) / resolution
+    row = (T_map_robot[1] + far * math.sin(heading) - origin[1]) / resolution
+    near = (margin[0] + far * margin[1]) / resolution
     low_r, high_r = math.floor(row - near), math.floor(row + near)
     low_c, high_c = math.floor(column - near), math.floor(column + near)
+    if low_r < 0 or low_c < 0 or high_r >= label.shape[0] or high_c >= label.shape[1]:
+        return False
+    centre = label[math.floor(row), math.floor(column)]
+    if centre != FREE and centre != DOOR:
+        return False
     for r in range(low_r, high_r + 1):
         for c in range(low_c, high_c + 1):
-            if label[r, c] != FREE and label[r, c] != DOOR and math.hypot(c + 0.5 - column, r + 0.5 - row) < near:
+            away2 = (c + 0.5 - column) ** 2 + (r + 0.5 - row) ** 2
+            if label[r, c] != FREE and label[r, c] != DOOR and away2 < near * near:
                 return False
     return True
 

@@ -308,9 +308,9 @@ def is_seen_through(
         return False
     if blind and not half <= middle < size - half:
         return False
-    nearest = math.inf
-    for k in range(middle - half, middle + half + 1):
-        nearest = min(nearest, ranges[k % size])
+    nearest, k = math.inf, (middle - half) % size
+    for _ in range(2 * half + 1):
+        nearest, k = min(nearest, ranges[k]), k + 1 if k + 1 < size else 0
     return bool(nearest > r + limits.beyond_m + slack)
 
 
