@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image
+from PIL import Image, ImageOps
 from PIL.ImageFile import ImageFile
 
 from mecp_env.core.carriers import Array, Bools
@@ -113,6 +113,7 @@ def read_image(path: Path) -> Image.Image:
             check_content(data, image)
             several = getattr(image, "is_animated", False)
             image.load()
+            ImageOps.exif_transpose(image, in_place=True)  # as every viewer shows it
     except LayoutError as error:
         raise LayoutError(f"image: {path.name!r:.80}: {error}") from None
     except Image.DecompressionBombError:

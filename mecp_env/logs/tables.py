@@ -7,8 +7,9 @@ import math
 import re
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.logs.carmen import MAGIC, MOST_BEAMS, MOST_BYTES, PACKED, unpacked
-from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
+from mecp_env.logs.readings import USUAL_M, Budget, Geometry, Recording, Sweep
 
 TABLES = (".csv", ".tsv", ".dat")
 STAMPS = {"t", "time", "stamp", "timestamp"}
@@ -26,6 +27,9 @@ POSES = ({"x"}, {"y"}, HEADINGS)
 PREFIXES = {"odom", "odometry", "pose", "pos", "position", "robot", "field", "header"}  # words of names without meaning
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
 UNITS |= {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
+LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
+MOST_ASKED, FARTHEST_CM = 1000, 800.0  # sweeps; half of the readings of a room are nearer
+LIST, JOIN = re.compile(r"[\[(]([^\[\]()]*)[\])]"), "\x1f"
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 LONGEST_LINE = 2**20
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
@@ -63,15 +67,31 @@ def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     if not recording.sweeps:
         found = f"no row that can be read ({recording.counts['damaged rows']} damaged rows)"
         raise LogError("; ".join((found, *recording.notes)))
+    _to_metres(recording)
     return recording
+
+
+def _to_metres(recording: Recording) -> None:
+    """Take readings that no laser has in m for mm or cm: half of them are farther than `USUAL_M`."""
+    ranges = np.concatenate([sweep.ranges for sweep in recording.sweeps[:: 1 + len(recording.sweeps) // MOST_ASKED]])
+    seen = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    middle = float(np.median(seen)) if len(seen) else 0.0
+    if middle <= USUAL_M:
+        return
+    unit = "mm" if middle > FARTHEST_CM else "cm"
+    recording.notes.append(f"readings are taken for {unit}: half of them are above {middle:.0f}")
+    recording.sweeps[:] = [replace(sweep, ranges=UNITS[unit] * sweep.ranges) for sweep in recording.sweeps]
 
 
 def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None:
     """All rows behind the names."""
     rows = _rows(data)
     _, names = next(rows, (0, []))
-    columns = _columns(names, view_deg, recording.notes)
-    for number, words in rows:
+    first = next(rows, (0, []))
+    names = _one_each(names, first[1])
+    columns = _columns(names, _numbers(_flat(first[1])), view_deg, recording.notes)
+    for number, cells in chain([first] * bool(first[1]), rows):
+        words = _flat(cells)
         row = _numbers(words)
         if row is None or len(row) != len(names):
             recording.damaged("row", number, words)
@@ -108,16 +128,30 @@ def _driven(before: Array | None, wheels: list[Array]) -> Array:
 
 
 def _rows(data: bytes) -> Iterator[tuple[int, list[str]]]:
-    """The number and the words of each row, with whatever separates them; comments are left out.
+    """The number and the cells of each row, with whatever separates them; comments are left out.
 
-    Where no comma does, one in a number is its decimal point.
+    Where no comma does, one in a number is its decimal point. A list in brackets is one cell, with `JOIN` in it.
     """
     for number, line in enumerate(iter(partial(io.BytesIO(data).readline, LONGEST_LINE), b""), start=1):
         text = line.decode("utf-8-sig", "replace").replace('"', "").strip(" \r\n")
+        text = LIST.sub(lambda found: JOIN.join(found[1].replace(",", " ").split()), text)
         separator = next((mark for mark in (";", "\t", ",") if mark in text), None)
         if text and not text.startswith("#"):
             text = text if separator in (",", None) else text.replace(",", ".")
             yield number, text.removesuffix(separator or "").split(separator)
+
+
+def _flat(cells: list[str]) -> list[str]:
+    """The words of all cells: those of a list one by one."""
+    return [word for cell in cells for word in cell.split(JOIN)]
+
+
+def _one_each(names: list[str], cells: list[str]) -> list[str]:
+    """A name for each word of a row: those of a list are numbered."""
+    if len(names) != len(cells):
+        return names
+    pairs = zip(names, cells, strict=True)
+    return [f"{name}{k}" if JOIN in cell else name for name, cell in pairs for k in range(cell.count(JOIN) + 1)]
 
 
 def _numbers(words: list[str]) -> Array | None:
@@ -128,16 +162,22 @@ def _numbers(words: list[str]) -> Array | None:
         return None
 
 
-def _columns(names: list[str], view_deg: float | None, notes: list[str]) -> Columns:
-    """Where a table with these names has what; a note lists the columns that are not read. Raises `LogError`."""
+def _columns(names: list[str], row: Array | None, view_deg: float | None, notes: list[str]) -> Columns:
+    """Where a table with these names has what, and its first `row` (k,) what of the laser is said there.
+
+    A note lists the columns that are not read. Raises `LogError`.
+    """
     words, units = zip(*map(_parsed, names), strict=True) if names else ((), ())
     stamp, pose = _stamp_and_pose(words)
     if len(pose) not in (0, len(POSES)) or (stamp is None and not pose):
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
     readings = _readings(names, {stamp, *pose})
-    left = [name for at, name in enumerate(names) if at not in (stamp, *pose, *readings)]
+    laser = {word: at for at, word in enumerate(words) if word in LASER} if row is not None else {}
+    left = [name for at, name in enumerate(names) if at not in (stamp, *pose, *readings, *laser.values())]
     notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
-    return Columns(stamp, pose, readings, np.array(units), _geometry([names[at] for at in readings], view_deg))
+    said = {word: float(row[at] * units[at]) for word, at in laser.items()} if row is not None else {}
+    geometry = _geometry([names[at] for at in readings], view_deg, said)
+    return Columns(stamp, pose, readings, np.array(units), geometry)
 
 
 def _stamp_and_pose(words: tuple[str, ...]) -> tuple[int | None, tuple[int, ...]]:
@@ -169,8 +209,11 @@ def _stem(name: str) -> str:
     return "" if name and _numbers([name]) is not None else name[: numbered.start()] if numbered else f"{name} "
 
 
-def _geometry(names: list[str], view_deg: float | None) -> Geometry:
-    """That of bearings in degrees, or of names that are none, whose beams are spread over the field of view."""
+def _geometry(names: list[str], view_deg: float | None, said: dict[str, float]) -> Geometry:
+    """What columns have `said`; else that of bearings in degrees, or of beams spread over the field of view."""
+    if {"angle min", "angle increment"} <= said.keys():
+        limits = said.get("range min", 0.0), said.get("range max", math.inf)
+        return Geometry(len(names), said["angle min"], said["angle increment"], *limits)
     degrees = _numbers(names)
     if degrees is not None and np.isfinite(degrees).all() and np.ptp(degrees) <= TURN_DEG:
         fault = "columns of readings: bearings that are not evenly spaced"

@@ -174,3 +174,47 @@ def test_headings_along_the_walls_of_a_building(tmp_path: Path, factor: float) -
     log = read_log(write_archive(tmp_path / "a.npz", **more, ref=None, rel=None))
     np.testing.assert_allclose(np.exp(1j * log.T_odom_robot[:, 2]), np.exp(1j * poses[:, 2]), atol=1e-9)
     assert any("headings" in note for note in log.notes)
+
+
+def test_a_list_in_a_cell_and_what_messages_say_of_the_laser(tmp_path: Path) -> None:
+    """As pandas writes a table of `LaserScan` messages, and bagpy, with a column for each range."""
+    t, poses, ranges = drive()
+    says, step = "angle_min,angle_increment,range_max", BEARINGS[1] - BEARINGS[0]
+    listed, flat = tmp_path / "a.csv", tmp_path / "b.csv"
+    rows = [
+        (*(f"{x:.6f}" for x in (t_, *pose, BEARINGS[0], step, 30.0)), one)
+        for t_, pose, one in zip(t, poses, ranges, strict=True)
+    ]
+    listed.write_text(
+        "\n".join(
+            [
+                f"Time,x,y,yaw,{says},ranges",
+                *(",".join((*row, f'"[{", ".join(f"{r:.6f}" for r in one)}]"')) for *row, one in rows),
+            ]
+        )
+    )
+    names = ",".join(f"ranges_{k}" for k in range(BEAMS))
+    flat.write_text(
+        "\n".join(
+            [f"Time,x,y,yaw,{says},{names}", *(",".join((*row, *(f"{r:.6f}" for r in one))) for *row, one in rows)]
+        )
+    )
+    for path in (listed, flat):
+        log = read_log(path)
+        np.testing.assert_allclose(log.ranges, ranges, atol=1e-6)
+        np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-4)
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1000.0), ("cm", 100.0)])
+def test_readings_that_no_laser_has_in_metres_are_taken_for_what_they_are(
+    tmp_path: Path, unit: str, factor: float
+) -> None:
+    t, poses, ranges = drive()
+    lines = [
+        ",".join(f"{x:.6f}" for x in (t_, *pose, *(factor * one)))
+        for t_, pose, one in zip(t, poses, ranges, strict=True)
+    ]
+    (tmp_path / "a.csv").write_text("\n".join([f"t,x,y,heading,{DEGREES}", *lines]))
+    log = read_log(tmp_path / "a.csv")
+    np.testing.assert_allclose(log.ranges, ranges, atol=1e-6)
+    assert any(f"taken for {unit}" in note for note in log.notes)
