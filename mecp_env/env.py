@@ -19,7 +19,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.core.snapshot import decode, encode, generator_data, make_generator
 from mecp_env.episode.actions import make_actions
-from mecp_env.episode.compact_observations import Flat, Image
+from mecp_env.episode.compact_observations import Flat, Image, most_floor_first
 from mecp_env.episode.episode import (
     PARTS,
     STATE_FORMAT,
@@ -448,8 +448,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Search for goals now; rooms without goals become complete in the grid."""
         episode = self._started()
         episode.goals = find_goals(episode.slam_output, episode.goal_history, self._planning)
-        if self.config.observation.format == "flat":  # a network sees row k at the same place: let it mean the same
-            episode.goals = RowTimes.of(self._planning).nearest_first(episode.goals)
+        if self.config.observation.format == "flat" and self.config.actions == "goal":
+            episode.goals = most_floor_first(episode.goals, episode.slam_output.grid)
         painter, graph = episode.pipeline.grid, episode.slam_output.graph
         painter.complete(complete_rooms(episode.goals, episode.goal_history, graph))
         if not len(episode.goals):

@@ -130,10 +130,6 @@ class RowTimes:
         seconds: Array = np.where(goals.kind == WAIT, self.wait_s, goals.path_m / self.speed_m_s)
         return seconds
 
-    def nearest_first(self, goals: Goals) -> Goals:
-        """The goals in the order of their times."""
-        return goals.in_order(np.argsort(self.seconds(goals), kind="stable"))
-
     def best(self, goals: Goals, most: int) -> int | None:
         """The row, of the first `most`, that takes the least time of those that explore; None without a goal.
 
