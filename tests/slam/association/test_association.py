@@ -176,7 +176,7 @@ def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():
     assert accepted([1.0, 0.01, 0.01])[0] == [70, 71]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
     rng = np.random.default_rng(seed)
     landmarks = rng.permutation(8)
@@ -195,11 +195,6 @@ def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
     found, which = np.empty((21, 4), np.int64), np.empty(21, np.int64)
     h = polygon_hypotheses(nis, corners, landmarks, features_of(8, state=state), rings, gate, found, which)
     assert list(zip(which[:h].tolist(), found[:h].tolist(), strict=True)) == expected
-
-
-def test_rows_of_finds_ids_in_any_order():
-    belief = make.belief(p_map=np.zeros((3, 2)), ids=[7, 2, 9])
-    assert belief.rows(np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
 
 
 @pytest.mark.parametrize(("moved", "paired"), [(0, 6), (2, 4), (5, 0)])
