@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.se2 import inside_polygon, polar_to_points
-from mecp_env.slam.config import FilterConfig, PanoramaConfig, SensorModel, SlamConfig
+from mecp_env.slam.config import PanoramaConfig, SensorModel, SlamConfig
 from mecp_env.slam.panorama.recent_scans import RecentScans
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import fed, scripted_drive
@@ -36,11 +36,7 @@ def test_polygons_surround_the_robot(runs):
         for polygon in output.polygons:
             ring = polar_to_points(output.polygon_corners.z)[polygon.corners]
             assert inside_polygon(0.0, 0.0, ring)
-
-
-def test_a_doorway_has_polygons_too(runs):
-    in_doorway = [output for _, output, *_ in runs if output.graph.in_doorway]
-    assert any(len(polygon.corners) >= 4 for output in in_doorway for polygon in output.polygons)
+    assert any(output.graph.in_doorway for output in with_polygon)
 
 
 def test_past_corners_are_of_the_room_of_the_robot(drive, monkeypatch):
@@ -82,20 +78,9 @@ def test_the_window_is_as_long_as_configured(drive):
     assert sorted(marks) == sorted(pipeline.filter.slot_ids[pipeline.filter.slot_ids < -1].tolist())
 
 
-@pytest.mark.filterwarnings("ignore::mecp_env.slam.protocols.FullFilterWarning")
-def test_a_full_filter_has_no_window(drive):
-    config = half(filter=FilterConfig(max_landmarks=8))
-    *_, (pipeline, _, _, error) = drive.run(config)
-    assert len(pipeline.filter.slot_ids) <= 8
-    assert np.hypot(*error[:2]) < 1.0
-
-
-def test_a_full_view_needs_no_window(drive):
+def test_a_full_view_needs_no_window_and_a_lost_pose_empties_it(drive):
     *_, (pipeline, *_) = scripted_drive(seed=3).run(SlamConfig())
     assert not pipeline.recent.scans
-
-
-def test_a_lost_pose_empties_the_window(drive):
     *_, (pipeline, *_) = drive.run(half())
     pipeline.lose_pose()
     assert not pipeline.recent.scans
