@@ -41,8 +41,7 @@ def fault_of(ranges, bearings, max_range):
     return Fault.NONE
 
 
-@pytest.mark.parametrize("max_range", [MAX_RANGE_M, math.inf, math.nan])
-@pytest.mark.parametrize("beams", [1, 2, 37])
+@pytest.mark.parametrize(("max_range", "beams"), [(MAX_RANGE_M, 37), (MAX_RANGE_M, 1), (math.inf, 2), (math.nan, 2)])
 def test_the_fault_of_a_scan_is_that_of_the_plain_twin(beams, max_range):
     rng, found = np.random.default_rng(0), set()
     for case in range(400):
@@ -81,7 +80,6 @@ def test_a_covariance_that_is_not_symmetric_and_positive_is_refused(block):
     [
         ("ranges", np.ndarray.tolist, "scan.ranges: list, an array of float64"),
         ("ranges", np.float32, "scan.ranges: an array of float32, one of float64"),
-        ("bearings", np.float32, "scan.bearings: an array of float32"),
         ("hit", np.int64, "scan.hit: an array of int64, one of bool"),
     ],
 )
@@ -92,10 +90,6 @@ def test_a_scan_of_another_type_is_refused(field, change, told):
         check_scan(replace(scan, **{field: change(getattr(scan, field))}))
 
 
-def unmatched(n):
-    return MatchBuilder(n).match()
-
-
 def with_decision(n, decision, id_):
     """A match of n corners with these values for the last."""
     builder = MatchBuilder(n)
@@ -103,8 +97,11 @@ def with_decision(n, decision, id_):
     return builder.match()
 
 
+SOUND = with_decision(3, Decision.LANDMARK, 4)
+
+
 def test_a_sound_match_is_given_back():
-    for match in (unmatched(0), unmatched(3), with_decision(3, Decision.LANDMARK, 4)):
+    for match in (MatchBuilder(0).match(), SOUND):
         assert check_match(match, len(match.ids), 5) is match
 
 
@@ -112,14 +109,12 @@ def test_a_sound_match_is_given_back():
     ("match", "told"),
     [
         (None, "match: NoneType, a Match"),
-        (unmatched(2), r"match.ids: shape \(2,\), \(3,\) expected"),
-        (unmatched(4), r"match.ids: shape \(4,\)"),
-        (replace(unmatched(3), nis=np.zeros((3, 1))), r"match.nis: shape \(3, 1\)"),
-        (replace(unmatched(3), ids=[0, 1, 2]), "match.ids: list, an array of int64"),
-        (replace(unmatched(3), reason=np.zeros(3)), "match.reason: an array of float64, one of int64"),
+        (MatchBuilder(2).match(), r"match.ids: shape \(2,\), \(3,\) expected"),
+        (replace(SOUND, nis=np.zeros((3, 1))), r"match.nis: shape \(3, 1\)"),
+        (replace(SOUND, ids=[0, 1, 2]), "match.ids: list, an array of int64"),
+        (replace(SOUND, reason=np.zeros(3)), "match.reason: an array of float64, one of int64"),
         (with_decision(3, 4, 0), r"match.decision\[2\]: 4 is not a Decision, 0 to 3"),
         (with_decision(3, Decision.LANDMARK, 5), r"match.ids\[2\]: 5, one of the 5 ids"),
-        (with_decision(3, Decision.LANDMARK, -1), r"match.ids\[2\]: -1"),
         (with_decision(3, Decision.PROVISIONAL, 10**12), r"match.ids\[2\]: 10{12},"),
     ],
 )
