@@ -80,14 +80,29 @@ def test_a_covariance_that_is_not_symmetric_and_positive_is_refused(block):
     [
         ("ranges", np.ndarray.tolist, "scan.ranges: list, an array of float64"),
         ("ranges", np.float32, "scan.ranges: an array of float32, one of float64"),
+        ("ranges", np.ravel, "scan.ranges"),
+        ("ranges", lambda a: a + 100.0, "scan.ranges"),
+        ("bearings", lambda a: a[:, 1:], "scan.bearings"),
+        ("bearings", lambda a: a[:, ::-1], "scan.bearings"),
         ("hit", np.int64, "scan.hit: an array of int64, one of bool"),
+        ("hit", lambda a: a[:, 1:], "scan.hit"),
     ],
 )
-def test_a_scan_of_another_type_is_refused(field, change, told):
+def test_a_scan_of_another_type_shape_or_order_is_refused(field, change, told):
     scan = make.scan(np.ones((1, 3)))
     check_scan(scan)
     with pytest.raises(SensorError, match=told):
         check_scan(replace(scan, **{field: change(getattr(scan, field))}))
+
+
+@pytest.mark.parametrize(
+    ("field", "change"),
+    [("increments", lambda a: a * np.nan), ("increments", lambda a: a[0]), ("cov", lambda a: a[:1])],
+)
+def test_odometry_of_another_shape_or_not_finite_is_refused(field, change):
+    reading = make.odometry(np.ones((2, 2)))
+    with pytest.raises(SensorError, match=f"odometry.{field}"):
+        check_odometry(replace(reading, **{field: change(getattr(reading, field))}))
 
 
 def with_decision(n, decision, id_):

@@ -18,6 +18,7 @@ MESSAGES = [
     cls for cls in vars(messages).values() if isinstance(cls, type) and is_dataclass(cls) and cls is not FeatureTable
 ]
 CROWD = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3}}
+METHODS = ("mecp_paper", "jcbb", "ccda")
 
 
 def digest(message: Any) -> str:
@@ -47,9 +48,6 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, str]]:
     for cls in MESSAGES:
         monkeypatch.setattr(cls, "__init__", watch(cls, cls.__init__))
     return kept
-
-
-METHODS = ("mecp_paper", "jcbb", "ccda")
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Ids, slots, capacity, removal, copies, and the belief in world coordinates."""
+"""Ids, slots, capacity, removal, copies, the belief in world coordinates, and lasers off the centre."""
 
 from __future__ import annotations
 
@@ -15,6 +15,10 @@ from mecp_env.slam.filters import FilterError, make_filter
 from mecp_env.slam.filters.mounting import mount, predict_mounted, robot_belief
 from mecp_env.slam.protocols import FullFilterWarning
 from tests.slam.filters.conftest import Pair, random_odometry, sensor_cov
+
+MORE = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]])
+VIEW = LaserView(x_m=0.3, y_m=-0.2, heading_deg=40.0)
+STEP = 1e-6
 
 
 def test_belief_and_marginal_are_those_of_the_world(pair):
@@ -91,9 +95,6 @@ def test_copies_are_independent_and_continue_bit_for_bit(kind, duplicate):
         np.testing.assert_array_equal(a, b)
 
 
-MORE = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]])
-
-
 @pytest.mark.parametrize("pose_cov", [None, MORE])
 def test_set_pose_is_independent_of_the_map_and_keeps_it(pair, pose_cov):
     mean, cov = pair.filter.marginal(pair.ids)
@@ -113,10 +114,6 @@ def test_loosening_adds_to_the_pose_and_keeps_what_the_map_says_of_it(pair):
     np.testing.assert_array_equal(loose, mean)
     cov[:3, :3] += MORE
     np.testing.assert_allclose(loose_cov, cov, atol=1e-12)
-
-
-VIEW = LaserView(x_m=0.3, y_m=-0.2, heading_deg=40.0)
-STEP = 1e-6
 
 
 def derivative(function, x):

@@ -32,6 +32,8 @@ from tests.slam.scans import (
 
 FAR_ROOM = 4.0 * ROOM
 DEG = math.pi / 180.0
+NARROW = CornerConfig(door_width_m=(0.75, 1.05))
+THIN = chain((5.0, -2.0), (5.0, 2.0), (2.12, 2.0), (2.12, 0.45), (2.0, 0.45), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0))
 
 
 def at(points, x, y, within=0.1):
@@ -217,9 +219,6 @@ def test_corners_behind_the_door_are_marked_and_no_sites():
         assert (corners.beyond[near] == -1).all()
 
 
-NARROW = CornerConfig(door_width_m=(0.75, 1.05))
-
-
 @pytest.mark.parametrize(
     ("width", "config", "doors"),
     [(w, CornerConfig(), n) for w, n in ((0.5, 0), (0.65, 1), (1.2, 1), (1.6, 1), (1.9, 1), (2.1, 0))]
@@ -239,7 +238,6 @@ def niche(width, depth):
     )
 
 
-THIN = chain((5.0, -2.0), (5.0, 2.0), (2.12, 2.0), (2.12, 0.45), (2.0, 0.45), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0))
 NO_DOORS = {
     "niche": (PAPER, niche(0.9, 0.2)),
     "deep niche": (PAPER, niche(0.9, 0.5)),

@@ -1,4 +1,4 @@
-"""The semantic grid against ground truth: bounds, thin walls, rooms, and the effect of a moved landmark."""
+"""The semantic grid against ground truth: bounds, thin walls, rooms, moved landmarks; cells against brute force."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ from tests.toy import LANDMARKS, Toy, free_iou, labels_at, layer_at, look
 
 TOUR = [(1.0, 2.0), (3.0, 1.0), (5.0, 2.0), (5.5, 1.95), (6.06, 1.95), (6.6, 1.95), (8.0, 2.5)]
 TOUR += [(x, 1.2 if x < 13.0 else 2.6) for x in np.arange(9.0, 32.0, 1.5)]
+FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 
 
 def drive(toy: Toy, places: list[tuple[float, float]] = TOUR) -> Toy:
@@ -308,9 +309,6 @@ def test_polygons_that_stayed_are_not_painted_again() -> None:
     toy.add_polygon([8, 9, 10, 11], 1)
     first, second = toy.polygons
     assert list(map(id, without([first, second], [second]))) == [id(first)]
-
-
-FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 
 
 @pytest.mark.parametrize("seed", range(8))

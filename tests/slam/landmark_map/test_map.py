@@ -1,4 +1,4 @@
-"""The persistent map: tracks, polygons, duplicates."""
+"""The persistent map: tracks, polygons, duplicates, and dynamic objects, which are not landmarks."""
 
 import math
 from dataclasses import replace
@@ -8,12 +8,7 @@ import pytest
 
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig, TrackConfig
-from mecp_env.slam.landmark_map.dynamic_objects import (
-    StaticWorld,
-    make_dynamic_objects,
-    whole_bodies,
-    without_dynamic,
-)
+from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, whole_bodies, without_dynamic
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.tracks import (
     PruneLimits,
@@ -23,14 +18,7 @@ from mecp_env.slam.landmark_map.tracks import (
     find_unconfirmed,
     track_corners,
 )
-from mecp_env.slam.messages import (
-    UNKNOWN_ROOM,
-    CornerKind,
-    Decision,
-    FeatureState,
-    FeatureTable,
-    Reason,
-)
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Decision, FeatureState, FeatureTable, Reason
 from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam import make
 from tests.slam.drives import scripted_drive
@@ -38,6 +26,12 @@ from tests.slam.scans import PAPER, front_end, ring, take_scan
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 ORIGIN = make.belief()
+CONFIG = DynamicObjectsConfig()
+LIMITS = PruneLimits.of(SlamConfig())
+STAGE = make_dynamic_objects(CONFIG, PAPER)
+ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
+CORNER = np.array([-4.0, -3.0])
+WEST, IN_THE_ROOM = (math.pi, np.nan), (1.5, 0.5)
 
 
 def graph_of(current=0, **fields):
@@ -226,13 +220,6 @@ def test_the_room_of_a_corner_is_that_behind_its_door_and_open_beyond_a_gap():
     assert replace(graph, in_doorway=True).rooms_of(beyond, through).tolist() == [UNKNOWN_ROOM] * 4
 
 
-CONFIG = DynamicObjectsConfig()
-LIMITS = PruneLimits.of(SlamConfig())
-STAGE = make_dynamic_objects(CONFIG, PAPER)
-ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
-CORNER = np.array([-4.0, -3.0])
-
-
 def disc(x, y, radius=0.25):
     angles = -np.arange(16) * (2.0 * math.pi / 16)
     return ring(*np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)]))
@@ -302,9 +289,6 @@ def test_no_wall_is_painted_and_no_corner_taken_where_a_dynamic_object_is():
     assert (match.decision[near] == Decision.IGNORED).all()
     assert (match.reason[near] == Reason.DYNAMIC).all()
     assert (match.decision[~near] == Decision.NEW).all()
-
-
-WEST, IN_THE_ROOM = (math.pi, np.nan), (1.5, 0.5)
 
 
 @pytest.mark.parametrize(

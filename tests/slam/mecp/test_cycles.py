@@ -32,6 +32,7 @@ from tests.slam.mecp.plain import (
 )
 
 LIMITS = PolygonConfig().record[0]
+AREA = PolygonConfig(structure="largest_area")
 
 
 def plain_best_rings(points, tolerance):
@@ -209,9 +210,6 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds(by_area)
         assert rings[0] == rings[1]
         resolved += rings[1] != rings[2]
     assert resolved > 50
-
-
-AREA = PolygonConfig(structure="largest_area")
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])

@@ -11,11 +11,11 @@ from benchmarks.polygon_speed import scans_of
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.mecp.dobkin import in_kernel, rings_around, star, visible_from
+from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
 from tests.slam.mecp.plain import convex_rings, twice_area
 from tests.slam.mecp.polygon_rooms import beams_of, corners_of
 from tests.slam.mecp.test_polygon_scan import RECTANGLE, walls_of
-from tests.slam.mecp.test_polygons import is_empty_around, largest_around
+from tests.slam.mecp.test_polygons import is_empty_around
 
 ROBOT = np.zeros(2)
 PAPER = PolygonConfig(tolerance_sigmas=0.0, check_walls=False, sites="corners")
@@ -57,19 +57,6 @@ def test_the_search_is_exact_among_the_leftmost_vertices_that_the_rule_leaves(by
             assert ring.area == pytest.approx(twice_area(points, tuple(ring.vertices)))
 
 
-def test_without_the_rule_it_is_the_mecp_for_more_sites_than_brute_force_can_do():
-    rng, lost = np.random.default_rng(3), 0
-    for n in (12, 16, 20):
-        for _ in range(30):
-            points = rng.uniform(-1.0, 1.0, (n, 2))
-            best = (largest_around(points, ROBOT, 1) or [()])[0]
-            rings = rings_around(points, by_kernel=False)
-            assert (sorted(rings[0].vertices) if rings else []) == sorted(best)
-            by_rule = rings_around(points)
-            lost += not by_rule or by_rule[0].size < len(best)
-    assert lost > 60  # the kernel is far too strict for sites anywhere
-
-
 def test_visible_edges_are_those_with_an_empty_triangle():
     rng = np.random.default_rng(4)
     for _ in range(60):
@@ -82,12 +69,6 @@ def test_visible_edges_are_those_with_an_empty_triangle():
             sides = list(itertools.pairwise([*corners, corners[0]]))
             blocked = any(all(left(a, b, q) for a, b in sides) for q in fan if q not in corners)
             assert (i in incoming[j]) == (not blocked)
-
-
-def test_the_kernel_is_where_every_edge_is_seen_from():
-    bent = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (2.0, 1.0), (0.0, 4.0)]
-    assert in_kernel((2.0, 0.5), bent)
-    assert not in_kernel((3.8, 3.0), bent)
 
 
 def test_in_a_rectangle_both_searches_find_the_room():

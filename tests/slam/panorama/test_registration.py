@@ -1,4 +1,4 @@
-"""Registration of constructed scans: known motions are found, open directions stay open, other places are refused."""
+"""Registration of constructed scans: known motions are found, open directions stay open, others are refused; twins."""
 
 from __future__ import annotations
 

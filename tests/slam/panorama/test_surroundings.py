@@ -27,6 +27,12 @@ from tests.slam import make
 from tests.slam.scans import PAPER, front_end, ring, take_scan
 
 T = np.array([0.4, -0.3, 0.8])
+MARKS = np.array([-2, -3])
+TINY = np.eye(3) * 1e-12
+POSE, SPREAD = (
+    np.array([1.2, -0.4, 0.7]),
+    np.array([[0.02, 0.003, 0.001], [0.003, 0.01, -0.002], [0.001, -0.002, 0.004]]),
+)
 
 
 def seen(z: np.ndarray, T_now_past: np.ndarray) -> np.ndarray:
@@ -116,14 +122,6 @@ def test_corners_of_rooms_that_were_merged_into_the_present_one_are_of_it():
     new, none, still = np.full(1, -1), np.empty(0, np.int64), np.ones(1, dtype=bool)
     kept = [bool(is_in_room((new, new, still), room, (none, none), rooms_like(graph))[0]) for room in range(5)]
     assert kept == [True, True, True, False, False]
-
-
-MARKS = np.array([-2, -3])
-TINY = np.eye(3) * 1e-12
-POSE, SPREAD = (
-    np.array([1.2, -0.4, 0.7]),
-    np.array([[0.02, 0.003, 0.001], [0.003, 0.01, -0.002], [0.001, -0.002, 0.004]]),
-)
 
 
 def drive(landmark_filter, increments, sigma_m=0.03, sigma_rad=0.02):

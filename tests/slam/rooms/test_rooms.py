@@ -1,4 +1,4 @@
-"""Door and room logic on scripted walks."""
+"""Door and room logic on scripted walks, and the path since a room was entered."""
 
 from dataclasses import replace
 
@@ -19,6 +19,8 @@ OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (
 
 LIMITS = RoomLimits.of(SlamConfig())
 THIN_WALLS = RoomLimits.of(SlamConfig(corners=CornerConfig(wall_thickness_m=0.4)))
+MOST = LIMITS.trail_places
+GAP = np.array([[0.45, 0.0], [-0.45, 0.0]])
 
 
 def belief_at(x, y, heading=0.0):
@@ -366,11 +368,6 @@ def test_a_room_behind_a_gap_that_was_driven_through_is_not_the_one_its_corners_
     assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
 
 
-CONFIG = RoomLimits.of(SlamConfig())
-MOST = CONFIG.trail_places
-GAP = np.array([[0.45, 0.0], [-0.45, 0.0]])
-
-
 @pytest.mark.parametrize(
     ("ys", "x", "crossing"),
     [
@@ -396,10 +393,10 @@ def test_one_step_against_shapely():
 def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
     trail = Trail()
     for step in range(20):
-        trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]), CONFIG)
+        trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]), LIMITS)
     assert len(trail.places) == 2
     for step in range(20, 20 + 2 * MOST):
-        trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]), CONFIG)
+        trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]), LIMITS)
     assert len(trail.places) == MOST + 1
     assert trail.places[-1, 2:].tolist() == [19 + 2 * MOST, 5]
 
@@ -407,6 +404,6 @@ def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
 def test_passed_tells_when_and_how_many_features_there_were():
     trail = Trail()
     for step, y in enumerate((-1.0, -0.6, -0.2, 0.2, 0.6)):
-        trail.add(step, 10 + step, np.array([0.0, y, 1.6]), CONFIG)
+        trail.add(step, 10 + step, np.array([0.0, y, 1.6]), LIMITS)
     assert trail.passed(GAP) == (3, 13)
     assert trail.passed(GAP + 3.0) is None
