@@ -95,13 +95,6 @@ def test_a_map_holds_them(own: dict[str, ModuleType], tmp_path: Path) -> None:
     assert np.array_equal(first.p_map, second.p_map)
 
 
-def test_batches_of_environments_know_them(own: dict[str, ModuleType]) -> None:
-    envs = gym.make_vec("mecp_env/PaperMap-v0", num_envs=2, slam=OWN)
-    envs.reset(seed=3)
-    assert envs.step(np.zeros((2, 2), np.float32))[1].shape == (2,)
-    envs.close()
-
-
 def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
     rows = benchmark.methods()
     assert list(rows)[-2:] == ["global_nearest", "mecp, filter plain_ekf"]

@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.slam.association import MatchBuilder
-from mecp_env.slam.checks import MatchError, SensorError
+from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
-from tests.slam.drives import Given, scripted_drive
+from tests.slam.drives import scripted_drive
 
 NOISE: dict[str, dict[str, float]] = {
     "paper": {},
@@ -185,9 +184,3 @@ def test_a_dict_configures_as_well():
     assert SlamPipeline({"filter": {"kind": "ekf"}}).config.filter.kind == "ekf"
     with pytest.raises(ConfigError, match="filtre"):
         SlamPipeline({"filtre": {}})
-
-
-def test_a_match_of_another_size_is_named(drive):
-    own = Given(lambda corners, *_: MatchBuilder(len(corners) + 1).match())
-    with pytest.raises(MatchError, match=r"match\.ids: shape"):
-        SlamPipeline(SlamConfig(), associator=own).start(drive.scans[0])

@@ -10,7 +10,6 @@ import pytest
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.frontend.beams import laser_noise
-from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.door_gaps import widening
 from mecp_env.slam.frontend.line_ends import write_end
 from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
@@ -375,15 +374,6 @@ def test_derivatives_of_an_end_against_finite_differences():
     slope = slopes(lambda x: x[1] / math.cos(x[2] - x[0]), np.array([*line, bearing]))
     np.testing.assert_allclose(found["jacobian"][0, 0], slope[:2], rtol=1e-6)
     np.testing.assert_allclose(found["own"][0], [slope[2] ** 2 * 1e-4, slope[2] * 1e-4], rtol=1e-6)
-
-
-def test_the_smallest_angle_of_an_intersection_is_a_setting():
-    obtuse = ring((3.0, -2.0), (3.0, 0.0), (2.0, 2.0), (-2.0, 2.0), (-2.0, -2.0))  # a bend of 27 degrees at (3, 0)
-    scan = take_scan(obtuse, LMS200)
-    beams, _, segments, corners = front_end(scan, LMS200)
-    at(polar_to_points(corners.z), 3.0, 0.0)
-    strict = extract_corners(beams, segments, CornerConfig(min_angle_deg=40.0), LMS200)
-    assert len(strict) == len(corners) - 1
 
 
 def test_constant_sigmas_of_the_paper():

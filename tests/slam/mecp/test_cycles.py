@@ -8,11 +8,9 @@ import math
 import numpy as np
 import pytest
 
-from benchmarks.polygon_speed import scans_of
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig, SlamConfig
-from mecp_env.slam.mecp import find_structure, register_structure
+from mecp_env.slam.mecp import register_structure
 from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, order_by_bearing, quietest_gap, visible_edges
 from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut, passing_intervals
 from mecp_env.slam.mecp.polygons import best_free_cycles
@@ -226,20 +224,6 @@ def test_the_largest_cycle_is_the_largest_by_definition(tolerance):
             assert tuple(rings[0][: sizes[0]]) == expected[0][1]
             differs += sizes[0] < best_cycles(points, allowed, tolerance, 1)[0][0]
     assert not tolerance or differs > 5
-
-
-def test_among_furniture_it_covers_more_floor_with_fewer_vertices():
-    larger = 0
-    for corners, beams, wall in scans_of("furnished", 80):
-        mecp, largest = (find_structure(corners, beams, c, wall) for c in (PolygonConfig(), AREA))
-        assert len(largest) == min(len(mecp), 1)
-        if mecp and len(largest[0].corners) >= 4:  # a triangle is searched for again, among jambs too
-            points = polar_to_points(corners.z)
-            most, area = (twice_area(points, tuple(found[0].corners)) for found in (mecp, largest))
-            assert area >= most - 1e-9
-            assert len(mecp[0].corners) >= len(largest[0].corners)
-            larger += area > most + 1e-9
-    assert larger > 5
 
 
 def test_a_configuration_selects_it_by_name():

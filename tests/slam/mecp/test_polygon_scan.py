@@ -71,19 +71,6 @@ def test_no_wall_crosses_a_polygon_whose_sites_are_all_visible_corners(name, wal
                 assert (rows[:, 2] > rows[:, 1]).all()
 
 
-@pytest.mark.parametrize("name", ["T", "cross"])
-def test_every_vertex_is_visible_from_everywhere_in_the_polygon(name):
-    """Eq. 1: visibility(P, V) = 1."""
-    walls, points = walls_of(ROOMS[name]), np.array(ROOMS[name], float)
-    rng = np.random.default_rng(1)
-    for pose in poses_in(ROOMS[name], 15, rng):
-        corners = corners_of(points[sees(walls, pose[:2], points)], pose)
-        for polygon in find_polygons(corners, beams_of(walls, pose), CONFIG):
-            ring = ring_of(polygon, corners, pose)
-            for weights in rng.dirichlet(np.ones(len(ring)), 10):
-                assert sees(walls, weights @ ring, ring).all()
-
-
 def test_the_wall_crossing_check_keeps_walls_out_where_corners_were_missed():
     rng = np.random.default_rng(3)
     crossed = 0
