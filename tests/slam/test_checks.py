@@ -17,7 +17,6 @@ from mecp_env.slam.checks import (
     check_odometry,
     check_scan,
     find_fault,
-    look_over,
 )
 from mecp_env.slam.messages import Decision, Reason
 from tests.slam import make
@@ -54,27 +53,6 @@ def test_the_fault_of_a_scan_is_that_of_the_plain_twin(beams, max_range):
     assert len(found) > 1
 
 
-def test_odometry_is_looked_over():
-    increments, cov = np.ones((3, 2)), np.tile(np.eye(2), (3, 1, 1))
-    assert look_over(increments, cov) == (True, 0.0, True)
-    assert look_over(np.empty((0, 2)), np.empty((0, 2, 2))) == (True, 0.0, True)
-    cov[1, 0, 1] = -5.0
-    cov[2, 1, 1] = -2.0
-    assert look_over(increments, cov) == (True, -2.0, False)
-    for array, place in ((increments, (2, 1)), (cov, (0, 1, 0)), (cov, (2, 0, 0))):
-        array[place] = math.nan
-        assert not look_over(increments, cov)[0]
-        array[place] = 1.0
-
-
-@pytest.mark.parametrize("block", [[[1.0, 0.5], [0.4, 1.0]], [[1.0, 1.1], [1.1, 1.0]], [[0.0, 1e-6], [1e-6, 1.0]]])
-def test_a_covariance_that_is_not_symmetric_and_positive_is_refused(block):
-    sound = [[1.0, 0.5], [0.5, 1.0]]
-    check_odometry(make.odometry(np.zeros((2, 2)), cov=[sound, np.zeros((2, 2))]))
-    with pytest.raises(SensorError, match=r"odometry.cov: not symmetric, or not positive"):
-        check_odometry(make.odometry(np.zeros((2, 2)), cov=[sound, block]))
-
-
 @pytest.mark.parametrize(
     ("field", "change", "told"),
     [
@@ -95,13 +73,29 @@ def test_a_scan_of_another_type_shape_or_order_is_refused(field, change, told):
         check_scan(replace(scan, **{field: change(getattr(scan, field))}))
 
 
+def unlike(a12, a21, a11=1.0):
+    """A covariance in the place of the last."""
+    return lambda covs: np.concatenate([covs[:-1], [[[a11, a12], [a21, 1.0]]]])
+
+
 @pytest.mark.parametrize(
-    ("field", "change"),
-    [("increments", lambda a: a * np.nan), ("increments", lambda a: a[0]), ("cov", lambda a: a[:1])],
+    ("field", "change", "told"),
+    [
+        ("increments", lambda a: a * np.nan, "every value must be finite"),
+        ("increments", lambda a: a[0], r"shape \(2,\) is not"),
+        ("cov", lambda a: a * np.nan, "every value must be finite"),
+        ("cov", lambda a: a[:1], r"shape \(1, 2, 2\) is not \(2, 2, 2\)"),
+        ("cov", unlike(0.0, 0.0, -2.0), "variance -2 is below 0"),
+        ("cov", unlike(0.5, 0.4), "not symmetric, or not positive"),
+        ("cov", unlike(1.1, 1.1), "not symmetric, or not positive"),
+        ("cov", unlike(1e-6, 1e-6, 0.0), "not symmetric, or not positive"),
+    ],
 )
-def test_odometry_of_another_shape_or_not_finite_is_refused(field, change):
-    reading = make.odometry(np.ones((2, 2)))
-    with pytest.raises(SensorError, match=f"odometry.{field}"):
+def test_unsound_odometry_is_refused(field, change, told):
+    for sound in (np.empty((0, 2, 2)), np.zeros((2, 2, 2)), np.tile([[1.0, 0.5], [0.5, 1.0]], (2, 1, 1))):
+        reading = make.odometry(np.ones((len(sound), 2)), cov=sound)
+        check_odometry(reading)
+    with pytest.raises(SensorError, match=rf"odometry\.{field}.*: {told}"):
         check_odometry(replace(reading, **{field: change(getattr(reading, field))}))
 
 
