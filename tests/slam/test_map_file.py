@@ -45,17 +45,10 @@ CONFIGS: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def drive() -> Drive:
-    return scripted_drive()
-
-
-@pytest.fixture(scope="module")
-def saved(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def saved(mapped: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of the whole drive, which ends in the first room."""
     path = tmp_path_factory.mktemp("maps") / "two_rooms.zip"
-    pipeline = SlamPipeline()
-    run(pipeline, drive, 0, len(drive.scans))
-    pipeline.save_map(path)
+    mapped[0].save_map(path)
     return path
 
 

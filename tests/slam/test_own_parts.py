@@ -23,9 +23,8 @@ from mecp_env.slam.filters import Ekf, RightInvariantEkf, register_filter
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.command_lines import written_modules
 from tests.env.helpers import episode_of
-from tests.slam.drives import scripted_drive
+from tests.slam.drives import Drive
 
-PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
 OWN = {
     "association": {"method": "global_nearest"},
     "filter": {"kind": "plain_ekf"},
@@ -80,9 +79,8 @@ class Boxed:
         return self.inner.ids
 
 
-def test_a_map_holds_them(own: dict[str, ModuleType], tmp_path: Path) -> None:
+def test_a_map_holds_them(own: dict[str, ModuleType], drive: Drive, tmp_path: Path) -> None:
     register_filter("boxed", Boxed)
-    drive = scripted_drive()
     pipeline = SlamPipeline({**OWN, "filter": {"kind": "boxed"}})
     pipeline.start(drive.scans[0])
     for k in range(3, 20):

@@ -21,11 +21,6 @@ NOISE: dict[str, dict[str, float]] = {
 
 
 @pytest.fixture(scope="module")
-def drive():
-    return scripted_drive()
-
-
-@pytest.fixture(scope="module")
 def steps(drive):
     return list(drive.run(SlamConfig()))
 

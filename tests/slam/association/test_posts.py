@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import pytest
 
@@ -14,15 +12,10 @@ from mecp_env.slam.config import AssociationConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
-from tests.slam.drives import Given, scripted_drive
+from tests.slam.drives import Given
 
 JAMB = int(CornerKind.JAMB)
 APART = AssociationConfig(use_posts=False)
-
-
-@pytest.fixture(scope="module")
-def drive() -> Any:
-    return scripted_drive()
 
 
 def kinds(pipeline: SlamPipeline, ids: np.ndarray) -> np.ndarray:

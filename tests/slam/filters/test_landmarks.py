@@ -14,11 +14,11 @@ from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FilterError, make_filter
 from mecp_env.slam.filters.mounting import mount, predict_mounted, robot_belief
 from mecp_env.slam.protocols import FullFilterWarning
+from tests.slam import make
 from tests.slam.filters.conftest import Pair, random_odometry, sensor_cov
 
 MORE = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]])
 VIEW = LaserView(x_m=0.3, y_m=-0.2, heading_deg=40.0)
-STEP = 1e-6
 
 
 def test_belief_and_marginal_are_those_of_the_world(pair):
@@ -116,16 +116,10 @@ def test_loosening_adds_to_the_pose_and_keeps_what_the_map_says_of_it(pair):
     np.testing.assert_allclose(loose_cov, cov, atol=1e-12)
 
 
-def derivative(function, x):
-    """The derivative (m,n) of a function of x (n,), by central differences."""
-    columns = [(function(x + STEP * axis) - function(x - STEP * axis)) / (2.0 * STEP) for axis in np.eye(len(x))]
-    return np.array(columns).T
-
-
 def test_a_shifted_pose_has_the_covariance_of_finite_differences(pair):
     T = pair.rng.uniform(-1.0, 1.0, 3)
     before = pair.filter.belief()
-    F = derivative(lambda pose: compose(pose, T), before.T_map_robot)
+    F = make.slopes(lambda pose: compose(pose, T), before.T_map_robot)
     pair.filter.shift_pose(T)
     after = pair.filter.belief()
     assert after.T_map_robot == pytest.approx(compose(before.T_map_robot, T))
@@ -160,7 +154,7 @@ def test_the_innovation_is_that_of_the_equations_with_the_mounting_in_them(pair)
         return np.stack([np.hypot(p[:, 0], p[:, 1]), np.arctan2(p[:, 1], p[:, 0])], axis=1).ravel()
 
     z, R = measured(mean) + 0.01, sensor_cov(pair.rng, len(pair.ids))
-    H = derivative(measured, mean)
+    H = make.slopes(measured, mean)
     nu, S = pair.filter.innovation(z.reshape(-1, 2), R, pair.ids)
     assert [wrap_angle(angle) for angle in nu] == pytest.approx(np.full(len(nu), 0.01))
     np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-5, atol=1e-8)

@@ -12,7 +12,7 @@ import pytest
 from mecp_env.core.se2 import compose, wrap_angle
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf
-from mecp_env.slam.filters.submap import near_any, overlaid
+from mecp_env.slam.filters.submap import near_any
 from mecp_env.slam.protocols import FilterError, FullFilterWarning
 from tests.slam import make
 
@@ -223,19 +223,6 @@ def test_unknown_ids_are_refused_and_the_map_may_be_full():
     assert len(warned) == 2  # one of each filter
     assert whole.dropped == divided.dropped > 0
     assert len(divided.ids) == 220
-
-
-def test_the_belief_shows_landmarks_at_work_as_they_are_there():
-    rng = np.random.default_rng(2)
-    ids, at_rest = rng.permutation(90)[:40], rng.random(40) < 0.7
-    own = np.concatenate((rng.permutation(ids[~at_rest])[:6], [95, 97]))  # some of the map, others are gone; two new
-    p_map, covs, own_p_map, own_covs = (rng.normal(size=shape) for shape in ((40, 2), (40, 2, 2), (8, 2), (8, 2, 2)))
-    expected = {i: (p, c) for i, p, c, rests in zip(ids.tolist(), p_map, covs, at_rest, strict=True) if rests}
-    expected |= {i: (p, c) for i, p, c in zip(own.tolist(), own_p_map, own_covs, strict=True)}
-    shown, places, spreads = overlaid(ids, p_map, covs, at_rest, own, own_p_map, own_covs)
-    assert shown.tolist() == [i for i in ids.tolist() if i in expected] + [95, 97]
-    assert np.array_equal(places, [expected[i][0] for i in shown.tolist()])
-    assert np.array_equal(spreads, [expected[i][1] for i in shown.tolist()])
 
 
 def test_landmarks_that_may_be_seen_are_those_within_five_sigmas():

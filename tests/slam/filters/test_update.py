@@ -10,6 +10,7 @@ from scipy.optimize import least_squares
 
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FilterError, make_filter
+from tests.slam import make
 from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import J, exp_map, expected, rotation, wrap
 
@@ -82,8 +83,7 @@ def test_iterated_update_finds_the_most_likely_state_for_the_plain_error(heading
     pair.filter.update(z, R, pair.ids, iterate=True)
     np.testing.assert_allclose(wrap(pair.mean - mean - best.x), 0.0, atol=2e-5)
     residuals = cost_of(pair, mean + best.x, cov, z, R)  # the covariance is that of the error about the new mean
-    steps = 1e-6 * np.eye(len(mean))
-    jacobian = np.stack([(residuals(step) - residuals(-step)) / 2e-6 for step in steps], axis=1)
+    jacobian = make.slopes(residuals, np.zeros(len(mean)))
     information = jacobian.T @ jacobian
     np.testing.assert_allclose(pair.cov, np.linalg.inv(information), atol=1e-5)
 

@@ -345,11 +345,6 @@ def test_joint_covariance_of_corners_that_share_walls(sensor, sweeps):
     assert np.abs(across).max() > 0.3  # corners of one wall do depend on each other
 
 
-def slopes(function, x):
-    """(m,n) derivatives by central differences."""
-    return np.stack([(function(x + step) - function(x - step)) / 2e-6 for step in 1e-6 * np.eye(len(x))], axis=-1)
-
-
 def plain_intersection(line):
     """Range and bearing of the point on both lines (4,) of x cos(alpha) + y sin(alpha) = rho."""
     x, y = np.linalg.solve(np.column_stack([np.cos(line[::2]), np.sin(line[::2])]), line[1::2])
@@ -364,14 +359,14 @@ def test_derivatives_of_an_intersection_against_finite_differences():
     assert not found["own"].any()
     np.testing.assert_allclose(found["z"], plain_intersection(base.ravel()))
     np.testing.assert_allclose(found["z"], (math.hypot(x, y), math.atan2(y, x)))
-    by_line = slopes(plain_intersection, base.ravel()).reshape(2, 2, 2).transpose(1, 0, 2)
+    by_line = make.slopes(plain_intersection, base.ravel()).reshape(2, 2, 2).transpose(1, 0, 2)
     np.testing.assert_allclose(found["jacobian"], by_line, rtol=1e-6, atol=1e-8)
 
 
 def test_derivatives_of_an_end_against_finite_differences():
     found, line, bearing = empty_corners(1)[0], (0.4, 2.0), 0.9
     write_end(found, 0, line, make.end_bearing(bearing))
-    slope = slopes(lambda x: x[1] / math.cos(x[2] - x[0]), np.array([*line, bearing]))
+    slope = make.slopes(lambda x: x[1] / math.cos(x[2] - x[0]), np.array([*line, bearing]))
     np.testing.assert_allclose(found["jacobian"][0, 0], slope[:2], rtol=1e-6)
     np.testing.assert_allclose(found["own"][0], [slope[2] ** 2 * 1e-4, slope[2] * 1e-4], rtol=1e-6)
 

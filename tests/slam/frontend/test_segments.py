@@ -25,10 +25,6 @@ def noise_of(range_m, bearing):
     return laser_noise(SensorModel(range_sigma_m=range_m, bearing_sigma_deg=math.degrees(bearing)).record)
 
 
-def lengths(segments):
-    return np.hypot(*(segments.points[:, 1] - segments.points[:, 0]).T)
-
-
 def test_a_room_has_its_walls_in_order_of_bearing():
     segments = segments_of(ROOM)
     by_normal = {round(math.degrees(a) / 90.0) % 4: rho for a, rho in segments.line}

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import shapely
+from scipy import ndimage
 
 from mecp_env.core.se2 import to_map
 from mecp_env.slam.config import GridConfig, SensorModel
@@ -317,23 +318,14 @@ def test_a_polygon_covers_the_cells_whose_centre_it_contains(seed: int) -> None:
 
 
 def flooded(label: np.ndarray, room: np.ndarray, complete: np.ndarray) -> np.ndarray:
-    """(H,W) the pockets, by a flood fill cell by cell."""
-    pockets, seen = np.zeros(label.shape, np.bool_), np.zeros(label.shape, np.bool_)
-    for first in map(tuple, np.argwhere(label == 0)):
-        if seen[first]:
-            continue
-        seen[first], part, rooms, closed = True, [first], set(), True
-        for row, column in part:
-            for at in ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1)):
-                if not (0 <= at[0] < label.shape[0] and 0 <= at[1] < label.shape[1]) or label[at] == DOOR:
-                    closed = False
-                elif label[at]:
-                    rooms |= {int(room[at])} - {-1}
-                elif not seen[at]:
-                    seen[at] = True
-                    part.append(at)
-        if closed and len(rooms) == 1 and min(rooms) < len(complete) and complete[min(rooms)]:
-            pockets[tuple(np.array(part).T)] = True
+    """(H,W) the pockets, part by part, each with what is around it; beyond the grid everything is open."""
+    pockets, (parts, count) = np.zeros(label.shape, np.bool_), ndimage.label(label == 0)
+    label, room = np.pad(label, 1, constant_values=DOOR), np.pad(room, 1, constant_values=-1)
+    for part in (parts == k for k in range(1, count + 1)):
+        around = ndimage.binary_dilation(np.pad(part, 1)) & ~np.pad(part, 1)
+        rooms = set(room[around].tolist()) - {-1}
+        closed = not (label[around] == DOOR).any() and len(rooms) == 1
+        pockets |= part & (closed and min(rooms) < len(complete) and bool(complete[min(rooms)]))
     return pockets
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.association import ignored
@@ -18,20 +19,11 @@ from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winne
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
-from tests.slam.drives import fed, scripted_drive
+from tests.slam.drives import fed
 from tests.slam.make import evidence
 
 CONFIG = LocalisationConfig()
 REACH_M, TURN_RAD = 8.0, math.radians(40.0)
-
-
-@pytest.fixture(scope="module")
-def mapped():
-    """A pipeline at the end of a drive through two rooms, its last output, and the drive."""
-    drive = scripted_drive()
-    pipeline = SlamPipeline()
-    *_, output = fed(pipeline, drive)
-    return pipeline, output, drive
 
 
 def in_map(drive, T_world_robot):
@@ -43,24 +35,14 @@ def off(a, b):
 
 
 def plain_count(beams, pose, grid, reach_m):
-    """The counts of `count_ends`, by sets of cells."""
-    walls = floors = count = 0
-    for r, b, hit in list(zip(beams.ranges, beams.bearings, beams.hit, strict=True))[::4]:
-        if not hit or r > reach_m:
-            continue
-        count += 1
-        end = pose[:2] + r * np.array([math.cos(pose[2] + b), math.sin(pose[2] + b)])
-        column, row = np.floor((end - grid.origin) / grid.resolution_m).astype(int)
-        height, width = grid.label.shape
-        if not (2 <= row < height - 2 and 2 <= column < width - 2):
-            continue
-        near = grid.label[row - 1 : row + 2, column - 1 : column + 2]
-        wide = grid.label[row - 2 : row + 3, column - 2 : column + 3]
-        if grid.label[row, column] == Cell.OCCUPIED or np.isin(near, [Cell.OCCUPIED, Cell.DOOR]).any():
-            walls += 1
-        elif (wide == Cell.FREE).all():
-            floors += 1
-    return walls, floors, count
+    """The counts of `count_ends`, by maps of cells near walls and amid floor."""
+    walls = ndimage.binary_dilation(np.isin(grid.label, [Cell.OCCUPIED, Cell.DOOR]), np.ones((3, 3)))
+    floor = ndimage.binary_erosion(grid.label == Cell.FREE, np.ones((5, 5))) & ~walls
+    r, b = (of[::4][(beams.hit & (beams.ranges <= reach_m))[::4]] for of in (beams.ranges, beams.bearings))
+    ends = pose[:2] + r[:, None] * np.stack([np.cos(pose[2] + b), np.sin(pose[2] + b)], axis=1)
+    cells = np.floor((ends - grid.origin) / grid.resolution_m).astype(int)[:, ::-1]
+    row, column = cells[((cells >= 2) & (cells < np.array(grid.label.shape) - 2)).all(axis=1)].T
+    return walls[row, column].sum(), floor[row, column].sum(), len(r)
 
 
 def test_ends_of_beams_are_counted_as_the_plain_twin_does():

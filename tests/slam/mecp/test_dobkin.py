@@ -89,14 +89,13 @@ def test_in_scans_the_rule_loses_polygons_and_invents_none():
             find_structure(corners, beams, PAPER.model_copy(update={"structure": name}), wall)
             for name in ("mecp", "dobkin")
         )
-        most = max((len(polygon.corners) for polygon in mecp), default=0)
         sizes = {len(polygon.corners) for polygon in dobkin}
-        assert len(sizes) <= 1
+        most = max((len(polygon.corners) for polygon in mecp), default=0)
         assert max(sizes, default=0) <= most
+        assert len(sizes) <= 1
         assert len(dobkin) <= PAPER.keep_ties
         lost += max(sizes, default=0) < most
-        points = polar_to_points(corners.z)
         for polygon in dobkin:
-            assert twice_area(points, tuple(polygon.corners)) > 0.0
+            assert twice_area(polar_to_points(corners.z), tuple(polygon.corners)) > 0.0
             assert corners.sites[polygon.corners].all()
     assert lost > 10

@@ -51,8 +51,8 @@ def test_moved_corners_have_the_covariance_of_measurement_and_pose(count):
     moved, cov = moved_measurements(z, R, T, SPREAD)
     assert np.allclose(moved, seen(z, T))
     if count:
-        by_z = numerical_jacobian(lambda x: seen(x.reshape(-1, 2), T).ravel(), z.ravel())
-        by_pose = numerical_jacobian(lambda x: seen(z, x).ravel(), T)
+        by_z = make.slopes(lambda x: seen(x.reshape(-1, 2), T).ravel(), z.ravel())
+        by_pose = make.slopes(lambda x: seen(z, x).ravel(), T)
         assert np.allclose(cov, by_z @ R @ by_z.T + by_pose @ SPREAD @ by_pose.T, rtol=1e-6, atol=1e-9)
 
 
@@ -145,19 +145,14 @@ def test_a_clone_knows_the_motion_since(kind):
     assert np.allclose(covs[0], expected.pose_cov, atol=2e-6)
 
 
-def numerical_jacobian(function, at, step=1e-6):
-    columns = [(function(at + e) - function(at - e)) / (2.0 * step) for e in step * np.eye(len(at))]
-    return np.stack(columns, axis=1)
-
-
 def test_the_covariance_of_marks_is_that_of_the_pose():
-    J = numerical_jacobian(lambda T: marks_seen(T, TINY)[0].ravel(), POSE)
+    J = make.slopes(lambda T: marks_seen(T, TINY)[0].ravel(), POSE)
     expected = J @ SPREAD @ J.T
     assert np.allclose(marks_seen(POSE, SPREAD)[1] - marks_seen(POSE, TINY)[1], expected, rtol=1e-5, atol=1e-8)
 
 
 def test_the_inverse_motion_has_its_covariance():
-    J = numerical_jacobian(inverse, POSE)
+    J = make.slopes(inverse, POSE)
     T_now_past, cov = seen_from(POSE, SPREAD)
     assert np.allclose(compose(T_now_past, POSE), 0.0, atol=1e-12)
     assert np.allclose(cov, J @ SPREAD @ J.T, atol=1e-8)
@@ -171,7 +166,7 @@ def test_poses_since_have_the_covariance_of_pose_and_marks():
     cov = 1e-3 * root @ root.T
     poses, covs = poses_of_marks(mean, cov)
     for k in range(2):
-        J = numerical_jacobian(lambda x, k=k: poses_of_marks(x, cov)[0][k], mean)
+        J = make.slopes(lambda x, k=k: poses_of_marks(x, cov)[0][k], mean)
         assert np.allclose(covs[k], J @ cov @ J.T, rtol=1e-5, atol=1e-7)
         middle, axis = 0.5 * (mean[3 + 4 * k : 5 + 4 * k] + mean[5 + 4 * k : 7 + 4 * k]), mean[3 + 4 * k : 5 + 4 * k]
         axis = axis - middle
