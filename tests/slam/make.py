@@ -65,6 +65,12 @@ def blocks(value: Any, n: int) -> Any:
     return value.copy() if value.ndim == 3 else column(value, (n,))[:, None, None] * np.eye(2)
 
 
+def slopes(function: Any, at: Any) -> Any:
+    """(...,n) derivatives by each of the n numbers of an array, by central differences."""
+    steps = 1e-6 * np.eye(np.size(at)).reshape(-1, *np.shape(at))
+    return np.stack([(function(at + step) - function(at - step)) / 2e-6 for step in steps], axis=-1)
+
+
 def polar(points: Any) -> Any:
     """(n,2) range and bearing of points (n,2)."""
     points = np.asarray(points, float).reshape(-1, 2)

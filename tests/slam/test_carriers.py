@@ -1,6 +1,5 @@
 """The small compiled functions behind the messages, against NumPy: indices, covariance blocks, rows of ids."""
 
-import math
 import pickle
 from dataclasses import field, replace
 from itertools import compress
@@ -8,12 +7,10 @@ from itertools import compress
 import numpy as np
 import pytest
 
-from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import carrier
 from mecp_env.core.linalg import downdate
-from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import MatchBuilder
-from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore, are_whole, groups_of, link, without_doubles
+from mecp_env.slam.landmark_map.map_polygons import are_whole, groups_of, link, without_doubles
 from mecp_env.slam.messages import Decision, FeatureState, Reason
 from tests.slam import make
 
@@ -31,11 +28,6 @@ def test_measurements_are_rows_and_blocks():
     assert (z == corners.z[index]).all()
     assert (corners.cov[np.ix_(rows, rows)] == R).all()
     assert (corners.R[3] == corners.cov[6:8, 6:8]).all()
-
-
-def test_recognised_corners_are_those_with_a_landmark():
-    match = make.match(range(4), [Decision.NEW, Decision.LANDMARK, Decision.IGNORED, Decision.LANDMARK])
-    assert match.recognised().tolist() == [1, 3]
 
 
 def test_a_carrier_is_made_and_copied_as_a_dataclass_is():
@@ -57,22 +49,7 @@ def test_a_carrier_is_made_and_copied_as_a_dataclass_is():
         Part(1, d=2)
 
 
-def test_integers_are_looked_up():
-    rows = np.empty(3, np.int64)
-    find_rows(np.array([4, 9, 2]), np.array([2, 4, 8]), rows)
-    assert rows.tolist() == [2, 0, -1]
-
-
-def test_small_angles_keep_their_bits_and_large_ones_are_wrapped():
-    for angle in np.random.default_rng(2).uniform(-12.0, 12.0, 2000):
-        wrapped = wrap_angle(angle)
-        assert wrapped == angle - 2.0 * math.pi * math.floor((angle + math.pi) / (2.0 * math.pi))
-    assert wrap_angle(-math.pi) == math.pi
-    assert math.isnan(wrap_angle(math.nan))
-
-
-@pytest.mark.parametrize("n", [3, 8, 33, 70])
-@pytest.mark.parametrize("rows", [2, 7, 20])
+@pytest.mark.parametrize(("n", "rows"), [(3, 2), (8, 20), (33, 7), (70, 20)])
 def test_downdate_with_and_without_a_margin(n, rows):
     rng = np.random.default_rng(n * rows)
     A, W = rng.normal(size=(n, n)), rng.normal(size=(rows, n))
@@ -107,15 +84,6 @@ def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
 def polygons_of(rings):
     """Polygons whose room is their number."""
     return [make.map_polygon(ring, room) for room, ring in enumerate(rings)]
-
-
-def test_a_polygon_is_whole_while_its_vertices_live_in_its_room():
-    features = make.features(4, state=[1, 1, 1, 2], room=[0, 0, 1, 0])
-    store = MapPolygonStore(10, polygons_of([[0, 1], [0, 2], [0, 3], [1, 1]]), outdated=True)
-    store.prune(features, lambda room: 0)
-    assert [polygon.ids.tolist() for polygon in store.polygons] == [[0, 1]]
-    assert store.polygons[0].room == 0
-    MapPolygonStore(10, outdated=True).prune(features, lambda room: room)
 
 
 def test_whole_polygons_are_found_as_vertex_by_vertex():

@@ -18,7 +18,7 @@ from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.snapshot import FileKind, encode, save_snapshot
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
-from mecp_env.slam.association import Associator, MecpAssociator
+from mecp_env.slam.association import MecpAssociator
 from mecp_env.slam.association.oracle import NoCorrespondences
 from mecp_env.slam.config import METHODS
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf, make_filter
@@ -28,29 +28,27 @@ from mecp_env.slam.messages import FeatureState
 from mecp_env.slam.protocols import FilterError
 from tests.env.helpers import same
 from tests.env.test_state_fuzz import PARTS, mutate, nodes
-from tests.slam.drives import Drive, fed, scripted_drive
+from tests.floorplans.mutations import spoilt_bytes
+from tests.slam.drives import Drive, Given, fed, scripted_drive
 
-MUTATED, CHANGED = 600, 60  # files with changed bytes, and maps with changed fields, in the fuzz tests
+MUTATED, CHANGED = 200, 30  # files with changed bytes, and maps with changed fields, in the fuzz tests
 CONFIGS: dict[str, dict[str, Any]] = {
     "default": {},
     "paper": SlamConfig.paper().model_dump(),
-    "ekf": {"filter": {"kind": "ekf"}, "grid": {"resolution_m": 0.2}},
-    "nearest": {"association": {"method": "nearest"}, "dynamic_objects": {"margin_m": 0.0}},
+    "other": {
+        "filter": {"kind": "fej"},
+        "grid": {"resolution_m": 0.2},
+        "association": {"method": "nearest"},
+        "dynamic_objects": {"margin_m": 0.0},
+    },
 }
 
 
 @pytest.fixture(scope="module")
-def drive() -> Drive:
-    return scripted_drive()
-
-
-@pytest.fixture(scope="module")
-def saved(drive: Drive, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def saved(mapped: Any, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The map of the whole drive, which ends in the first room."""
     path = tmp_path_factory.mktemp("maps") / "two_rooms.zip"
-    pipeline = SlamPipeline()
-    run(pipeline, drive, 0, len(drive.scans))
-    pipeline.save_map(path)
+    mapped[0].save_map(path)
     return path
 
 
@@ -87,8 +85,7 @@ def test_a_map_is_empty_before_the_first_scan_and_can_be_saved_then(tmp_path: Pa
     assert same(encode(SlamPipeline.from_map(tmp_path / "new" / "map.zip")), encode(SlamPipeline()))
 
 
-@pytest.mark.parametrize("first", [10, 35, 60])
-@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
+@pytest.mark.parametrize(("first", "kind"), [(10, "riekf"), (35, "ekf"), (60, "fej")])
 def test_a_robot_put_into_a_map_localises_and_goes_on_mapping(first: int, kind: str, drive: Drive) -> None:
     """At another place of the drive than where it ended, in either room, with half a metre of error."""
     pipeline = SlamPipeline({"filter": {"kind": kind}})
@@ -126,7 +123,7 @@ def test_an_unknown_start_does_not_favour_the_saved_pose(tmp_path: Path) -> None
         assert not output.localised
 
 
-@pytest.mark.parametrize("first", [5, 20, 35, 50, 60])
+@pytest.mark.parametrize("first", [5, 35, 60])
 def test_a_robot_anywhere_in_the_map_is_found_and_nothing_is_mapped_before(
     first: int, drive: Drive, saved: Path
 ) -> None:
@@ -172,9 +169,7 @@ def test_a_diverged_map_gets_another_chance_with_a_pose(drive: Drive) -> None:
     [
         ("here", (1, 1, 1), "start: 'here', expected"),
         ((1.0, 2.0), (1, 1, 1), r"start: \(1\.0, 2\.0\), expected x, y in m"),
-        ((1.0, math.nan, 0.0), (1, 1, 1), "start: "),
         ((1e6, 0.0, 0.0), (1, 1, 1), "start: .* above -500 and below 500"),
-        (None, (1, 1, 1), "start: None"),
         (("a", "b", "c"), (1, 1, 1), "start: "),
         ((0.0, 0.0, 0.0), (1, 1, 0), r"sigmas: \(1, 1, 0\), .* above 0"),
         ((0.0, 0.0, 0.0), 0.1, "sigmas: 0.1"),
@@ -196,20 +191,13 @@ def test_ground_truth_stays_out_of_a_map(drive: Drive) -> None:
     assert type(SlamPipeline.from_map(SlamMap.of(placed)).filter) is SubmapEkf
 
 
-class Other(Associator):
-    """An associator that no configuration names."""
-
-    def __init__(self, inner: Any) -> None:
-        self.associate = inner.associate
-
-
 class OtherFilter(RightInvariantEkf):
     """A filter that no configuration names."""
 
 
 def test_a_map_holds_the_parts_that_its_configuration_names(drive: Drive) -> None:
     config = SlamConfig()
-    injected = SlamPipeline(associator=Other(MecpAssociator(config.association)))
+    injected = SlamPipeline(associator=Given(MecpAssociator(config.association).associate))
     run(injected, drive, 0, 5)
     assert type(SlamPipeline.from_map(SlamMap.of(injected)).associator) is MecpAssociator
     with pytest.raises(MapError, match="filter: OtherFilter was injected"):
@@ -235,13 +223,14 @@ def changed(slam_map: SlamMap, path: str, value: Any) -> SlamMap:
         ("grid", ..., "map: missing or unknown grid"),
         ("speed", 3, "state: damaged .AttributeError"),
         ("step_count", "x", "map.step_count: expected int, given 'x'"),
-        ("step_count", True, "map.step_count: expected int"),
         ("rooms.in_doorway", "yes", "map.rooms.in_doorway: expected bool, given 'yes'"),
         ("filter.slot_ids", {"@array": [np.arange(3), True]}, "map.map.features.rows: a landmark that is not in"),
         ("map.features.rows", {"@array": [np.zeros(3), True]}, "map.map.features.rows: expected (?i:ndarray)"),
         ("config", {"@settings": ["mecp_env.slam.config:SlamConfig", {"speed": 1}]}, "SlamConfig.speed: no such field"),
         ("config", {"@settings": ["mecp_env.slam.config:GridConfig", {}]}, "SlamConfig"),
         ("grid", {"@object": ["os:system", {}]}, "state: 'os:system' is not a class of mecp_env"),
+        ("grid.canvas.resolution_m", 0.07, r"grid\.canvas\.resolution_m: 0\.07, configured"),
+        ("filter.state", {"@array": [np.zeros((301, 303)), True]}, r"filter: state \(301, 303\) for slot_ids"),
     ],
 )
 def test_a_damaged_map_names_the_file_and_the_field(
@@ -270,9 +259,6 @@ def test_a_foreign_an_old_and_a_later_file_are_refused(saved: Path, tmp_path: Pa
             SlamMap.load(file)
     with pytest.raises(MapError, match=r"nowhere\.zip: no such file"):
         SlamPipeline.from_map(tmp_path / "nowhere.zip")
-    save_snapshot(file, FILE, encode([1]))
-    with pytest.raises(MapError, match=r"other\.zip: "):
-        SlamPipeline.from_map(file)
 
 
 def test_a_map_whose_associator_is_not_registered_here_says_so(saved: Path, tmp_path: Path) -> None:
@@ -285,27 +271,11 @@ def test_a_map_whose_associator_is_not_registered_here_says_so(saved: Path, tmp_
         SlamPipeline.from_map(file)
 
 
-def mutated(data: bytes, rng: np.random.Generator) -> bytes:
-    """The file cut short, with a few other bytes, or with a piece twice or left out."""
-    how, at = rng.integers(4), sorted(rng.integers(0, len(data), 2).tolist())
-    if how == 0:
-        return data[: at[0]]
-    if how == 1:
-        return data[: at[1]] + data[at[0] :]
-    if how == 2:
-        return data[: at[0]] + rng.bytes(int(rng.integers(1, 9))) + data[at[1] :]
-    changed_bytes = bytearray(data)
-    span = 200 if rng.random() < 0.5 else len(data)  # near the ends are the structures of a zip
-    for k in rng.integers(-min(span, len(data)), min(span, len(data)), int(rng.integers(1, 4))).tolist():
-        changed_bytes[k] = int(rng.integers(256))
-    return bytes(changed_bytes)
-
-
 def test_mutated_files_end_in_one_error_or_load_an_equal_map(saved: Path, tmp_path: Path) -> None:
     data, whole, file = saved.read_bytes(), SlamMap.load(saved).state, tmp_path / "mutated.zip"
     rng, refused = np.random.default_rng(0), 0
     for _ in range(MUTATED):
-        file.write_bytes(mutated(data, rng))
+        file.write_bytes(spoilt_bytes(data, rng))
         try:
             assert same(SlamMap.load(file).state, whole)
         except MapError as error:
@@ -348,15 +318,3 @@ def test_the_limits_on_what_is_made_leave_room_for_large_maps(
     assert (np.array(loaded.grid.canvas.grid.label.shape) >= (1200, 2000)).all()
     assert same(encode(loaded), encode(pipeline))
     assert same(run(loaded, drive, 20, 22), run(pipeline, drive, 20, 22))
-
-
-def test_a_map_with_cells_of_another_size_than_configured_is_refused(saved: Path) -> None:
-    state = changed(SlamMap.load(saved), "grid.canvas.resolution_m", 0.07)
-    with pytest.raises(MapError, match=r"grid\.canvas\.resolution_m: 0\.07, configured"):
-        SlamPipeline.from_map(state)
-
-
-def test_a_map_whose_filter_has_another_shape_is_refused(saved: Path) -> None:
-    state = changed(SlamMap.load(saved), "filter.state", {"@array": [np.zeros((301, 303)), True]})
-    with pytest.raises(MapError, match=r"filter: state \(301, 303\) for slot_ids"):
-        SlamPipeline.from_map(state)

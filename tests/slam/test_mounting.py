@@ -19,11 +19,7 @@ from tests.env.test_goal_actions import explore
 from tests.slam.drives import scripted_drive
 from tests.slam.scans import PAPER, ROOM, front_end, take_scan
 
-MOUNTINGS = [
-    {"x_m": 0.18},
-    {"x_m": -0.1, "y_m": 0.12, "heading_deg": 90.0},
-    {"heading_deg": 180.0},
-]
+ASIDE, BACKWARDS = {"x_m": -0.1, "y_m": 0.12, "heading_deg": 90.0}, {"heading_deg": 180.0}
 HALF = {"field_of_view_deg": 180.0, "beams": 360}
 TO_CORNERS = 0.1  # m, of a landmark from its true corner
 
@@ -39,69 +35,56 @@ def off_corners(output, drive):
     return np.hypot(away[..., 0], away[..., 1]).min(axis=1)
 
 
-@pytest.mark.parametrize("view", MOUNTINGS)
-def test_a_drive_with_a_mounted_laser_gives_the_right_map(view):
+@pytest.mark.parametrize("view", [ASIDE, BACKWARDS])
+def test_a_drive_with_a_mounted_laser_gives_the_right_map_which_is_entered_by_the_pose_of_the_robot(view, tmp_path):
     drive = scripted_drive(seed=3, **view)
-    runs = list(drive.run(sensor_of(**view)))
-    output = runs[-1][1]
-    errors = np.array([np.hypot(*error[:2]) for *_, error in runs])
-    assert errors.max() < 0.06
+    *_, (pipeline, output, _, _) = runs = list(drive.run(sensor_of(**view)))
+    assert max(np.hypot(*error[:2]) for *_, error in runs) < 0.06
     assert len(output.belief.ids) >= 8
     assert off_corners(output, drive).max() < TO_CORNERS
+    pipeline.save_map(tmp_path / "map")
+    believed = output.belief.T_map_robot
+    for start, off in (((believed + np.array([0.2, -0.1, 0.1])).tolist(), 0.03), ("saved", 0.01)):
+        entered = SlamPipeline.from_map(tmp_path / "map", start=start).start(drive.scans[-1])
+        assert entered.belief.T_map_robot == pytest.approx(believed, abs=off)
 
 
 def test_a_mounted_laser_is_no_worse_than_a_centred_one():
     """Over 24 drives: RMSE 1.9 +- 0.2 mm centred, 2.3 +- 0.4 mm at the mounting below, NEES 1.7 and 2.2."""
 
     def scores(**view):
-        drives = [list(scripted_drive(seed=seed, **view).run(sensor_of(**view))) for seed in range(8)]
+        drives = [list(scripted_drive(seed=seed, **view).run(sensor_of(**view))) for seed in range(6)]
         errors = np.array([error for drive in drives for *_, error in drive])
         covs = np.array([output.belief.pose_cov for drive in drives for _, output, *_ in drive])
         nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covs), errors).mean()
         return float(np.sqrt(np.mean(np.square(errors[:, :2])))), float(nees)
 
-    (centred, _), (mounted, nees) = scores(), scores(**MOUNTINGS[1])
+    (centred, _), (mounted, nees) = scores(), scores(**ASIDE)
     assert mounted < 1.6 * centred
     assert nees < 3.0
 
 
-def test_a_mounting_that_the_estimator_does_not_know_is_seen_in_the_error():
-    drive = scripted_drive(seed=3, x_m=0.18)
-    assert max(np.hypot(*error[:2]) for *_, error in drive.run(SlamConfig())) > 0.1
-
-
-def test_half_a_view_gives_the_right_map():
-    drive = scripted_drive(seed=4, **HALF)
-    runs = list(drive.run(sensor_of(**HALF)))
-    assert max(np.hypot(*error[:2]) for *_, error in runs) < 0.1
-    assert off_corners(runs[-1][1], drive).max() < TO_CORNERS
-
-
-def test_no_corner_of_half_a_view_is_a_phantom_at_its_edge():
-    drive = scripted_drive(seed=5, **HALF)
-    seen = 0
-    for _, output, true, _ in drive.run(sensor_of(**HALF)):
+def test_half_a_view_gives_the_right_map_without_a_phantom_at_its_edge():
+    drive, seen = scripted_drive(seed=4, **HALF), 0
+    for _, output, true, error in drive.run(sensor_of(**HALF)):
+        assert np.hypot(*error[:2]) < 0.1
         edge = np.abs(output.corners.z[:, 1]) > math.radians(85.0)
         seen += int(edge.sum())
         assert (true[edge] >= 0).all()
     assert seen > 0
+    assert off_corners(output, drive).max() < TO_CORNERS
 
 
-def test_an_exploration_with_half_a_view_ends_with_a_true_map():
-    env = make(layout="paper", actions="goal", laser=HALF, max_steps=250)
+def test_an_exploration_with_half_a_view_is_finished_with_a_true_map():
+    env = make(layout="two_rooms", actions="goal", laser=HALF)
     assert env.unwrapped.config.estimator_config.sensor.field_of_view_deg == 180.0
-    explore(env)
+    rows = explore(env)
+    assert rows[-1][2]
     summary = env.unwrapped.summary()
+    assert summary["coverage"] > 0.95
     assert summary["rooms_false"] == summary["doors_false"] == 0
     assert summary["association_precision"] > 0.995
     assert summary["pose_error_worst_m"] < 0.15
-
-
-def test_an_exploration_with_half_a_view_can_be_finished():
-    env = make(layout="two_rooms", actions="goal", laser=HALF)
-    rows = explore(env)
-    assert rows[-1][2]
-    assert env.unwrapped.summary()["coverage"] > 0.95
 
 
 def test_a_scan_wider_than_the_view_of_the_sensor_is_refused():
@@ -118,7 +101,7 @@ def narrow(scan, degrees):
     return type(scan)(*cut, scan.max_range_m)
 
 
-@pytest.mark.parametrize("degrees", [270.0, 180.0, 120.0])
+@pytest.mark.parametrize("degrees", [270.0, 120.0])
 def test_the_blind_side_is_not_painted(degrees):
     beams, _, segments, _ = front_end(narrow(take_scan(ROOM), degrees), PAPER)
     assert beams.blind
@@ -141,21 +124,9 @@ def test_no_landmark_is_seen_through_on_the_blind_side():
 
 @pytest.mark.parametrize("estimator", ["truth", "known"])
 def test_the_upper_bounds_know_where_the_laser_is(estimator):
-    env = make(actions="goal", estimator=estimator, laser=MOUNTINGS[1])
+    env = make(actions="goal", estimator=estimator, laser=ASIDE)
     explore(env)
     summary = env.unwrapped.summary()
     assert summary["association_false"] <= (0 if estimator == "known" else 2)
     assert summary["map_rmse_m"] < 0.03
     assert summary["pose_error_worst_m"] < (1e-6 if estimator == "truth" else 0.05)
-
-
-def test_a_saved_map_is_entered_by_the_pose_of_the_robot(tmp_path):
-    view = MOUNTINGS[1]
-    drive = scripted_drive(seed=3, **view)
-    runs = list(drive.run(sensor_of(**view)))
-    runs[-1][0].save_map(tmp_path / "map")
-    believed = runs[-1][1].belief.T_map_robot
-    pipeline = SlamPipeline.from_map(tmp_path / "map", start=(believed + np.array([0.2, -0.1, 0.1])).tolist())
-    assert pipeline.start(drive.scans[-1]).belief.T_map_robot == pytest.approx(believed, abs=0.03)
-    kept = SlamPipeline.from_map(tmp_path / "map").start(drive.scans[-1])
-    assert kept.belief.T_map_robot == pytest.approx(believed, abs=0.01)

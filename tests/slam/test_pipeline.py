@@ -7,28 +7,17 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.slam.association import ASSOCIATORS, MatchBuilder, make_associator
-from mecp_env.slam.checks import MatchError, SensorError
+from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
-from mecp_env.slam.filters import make_filter
-from mecp_env.slam.filters.oracle import OraclePoseFilter
-from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.protocols import Associator
 from tests.slam.drives import scripted_drive
-from tests.slam.scans import front_end
 
 NOISE: dict[str, dict[str, float]] = {
     "paper": {},
     "1 cm": {"range_sigma_m": 0.01, "bearing_sigma_deg": 0.0},
     "none": {"range_sigma_m": 0.0, "bearing_sigma_deg": 0.0},
 }
-
-
-@pytest.fixture(scope="module")
-def drive():
-    return scripted_drive()
 
 
 @pytest.fixture(scope="module")
@@ -124,66 +113,11 @@ def test_every_decision_has_its_reason(steps):
             assert Reason(reason) in allowed[Decision(decision)]
 
 
-def test_the_same_drive_gives_the_same_bits(drive, steps):
-    again = list(drive.run(SlamConfig()))
-    assert np.array_equal(again[-1][1].belief.p_map, steps[-1][1].belief.p_map)
-    assert np.array_equal(again[-1][1].grid.label, steps[-1][1].grid.label)
-
-
-def test_a_new_pipeline_starts_with_an_empty_map(drive):
-    first, second = (SlamPipeline(SlamConfig()).start(drive.scans[0]) for _ in range(2))
-    assert np.array_equal(first.match.ids, second.match.ids)
-    assert first.step == second.step == 1
-
-
-@pytest.mark.parametrize("method", [m for m in ASSOCIATORS if m != "known"])
-def test_every_associator_runs_and_names_each_corner_once(drive, method):
-    config = SlamConfig(association=AssociationConfig(method=method))
-    for _, output, _, _ in drive.run(config):
-        ids = output.match.ids[output.match.decision == int(Decision.LANDMARK)]
-        assert len(set(ids.tolist())) == len(ids)
-    assert type(make_associator(config.association)) is ASSOCIATORS[method]
-
-
-@pytest.mark.parametrize("switch", ["use_polygons", "use_rooms", "use_descriptor"])
-def test_each_switch_of_the_default_associator_can_be_turned_off(drive, switch):
-    config = SlamConfig(association=AssociationConfig(**{switch: False}))
-    run = list(drive.run(config))
-    recognised = any(output.match.known >= 0 for _, output, _, _ in run)
-    assert recognised == (switch != "use_polygons")
-
-
-def test_true_identities_are_the_upper_bound(drive):
-    from mecp_env.evaluation.ground_truth import true_correspondences
-
-    pipeline = SlamPipeline(SlamConfig(association=AssociationConfig(method="known")))
-    owners = defaultdict(set)
-    for odometry, scan, pose in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-
-        def tell(corners, pose=pose):
-            return true_correspondences(pose, drive.outline)(corners)
-
-        pipeline.associator.correspondences = tell
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        for i in np.flatnonzero(output.match.decision == int(Decision.LANDMARK)):
-            owners[int(output.match.ids[i])].add(int(tell(output.corners)[i]))
-    assert all(len(corners) == 1 for corners in owners.values())
-    assert len(owners) >= 10
-
-
-def test_the_true_pose_can_be_injected(drive):
-    from mecp_env.core.se2 import compose, inverse
-
-    oracle = OraclePoseFilter(make_filter(FilterConfig()))
-    pipeline = SlamPipeline(SlamConfig(), filter=oracle)
-    T_map_world = inverse(drive.T_world_robot[0])
-    for odometry, scan, pose in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        if odometry is None:
-            pipeline.start(scan)
-            continue
-        oracle.T_map_robot = compose(T_map_world, pose)
-        output = pipeline.step(odometry, scan)
-        assert np.allclose(output.belief.T_map_robot, oracle.T_map_robot, atol=1e-3)
+def test_without_polygons_rooms_and_descriptor_the_default_associator_recognises_no_polygon(drive):
+    switches = {"use_polygons": False, "use_rooms": False, "use_descriptor": False}
+    run = list(drive.run(SlamConfig(association=AssociationConfig(**switches))))
+    assert not any(output.match.known >= 0 for _, output, _, _ in run)
+    assert len(run[-1][1].belief.ids) > 8
 
 
 def neglected(far, errors):
@@ -222,92 +156,26 @@ def test_a_rough_pose_adds_nothing_since_its_update_is_iterated(drive, sigma_m, 
 def test_the_pose_is_as_uncertain_as_it_is_wrong(noise, least):
     """NEES of the pose over drives in two rooms, 3 expected; less where what one linearisation neglects counts most."""
     slam, nees = SlamConfig(sensor=SensorModel(**NOISE[noise])), []
-    for seed in range(12):
+    for seed in range(8):
         run = scripted_drive(seed=seed, **NOISE[noise]).run(slam)
         nees.append(np.mean([e @ np.linalg.solve(output.belief.pose_cov, e) for _, output, _, e in run]))
     assert least < np.mean(nees) < 4.0
 
 
-def damaged(scan, **fields):
-    return replace(scan, **fields)
-
-
 @pytest.mark.parametrize(
-    ("field", "change"),
-    [
-        ("scan.ranges", lambda s: damaged(s, ranges=s.ranges[0])),
-        ("scan.ranges", lambda s: damaged(s, ranges=np.where(s.hit, np.nan, s.ranges))),
-        ("scan.ranges", lambda s: damaged(s, ranges=s.ranges + 100.0)),
-        ("scan.ranges", lambda s: damaged(s, ranges=-s.ranges)),
-        ("scan.bearings", lambda s: damaged(s, bearings=s.bearings + np.inf)),
-        ("scan.bearings", lambda s: damaged(s, bearings=s.bearings[:, 1:])),
-        ("scan.bearings", lambda s: damaged(s, bearings=s.bearings[:, ::-1])),
-        ("scan.hit", lambda s: damaged(s, hit=s.hit[:, 1:])),
-    ],
+    ("field", "odometry", "scan"),
+    [("scan.ranges", {}, {"ranges": np.full((4, 720), np.nan)}), ("odometry.cov", {"cov": -np.eye(2)[None]}, {})],
 )
-def test_a_damaged_scan_is_refused_and_nothing_is_lost(drive, field, change):
+def test_damaged_input_is_refused_and_nothing_is_lost(drive, field, odometry, scan):
     pipeline = SlamPipeline(SlamConfig())
     before = pipeline.start(drive.scans[0])
     with pytest.raises(SensorError, match=field):
-        pipeline.step(drive.odometry[3], change(drive.scans[3]))
+        pipeline.step(replace(drive.odometry[3], **odometry), replace(drive.scans[3], **scan))
     assert pipeline.step_count == before.step
     assert np.array_equal(pipeline.filter.belief().T_map_robot, before.belief.T_map_robot)
-
-
-@pytest.mark.parametrize(
-    ("field", "change"),
-    [
-        ("odometry.increments", lambda o: replace(o, increments=o.increments * np.nan)),
-        ("odometry.increments", lambda o: replace(o, increments=o.increments[0])),
-        ("odometry.cov", lambda o: replace(o, cov=o.cov[:1])),
-        ("odometry.cov", lambda o: replace(o, cov=-o.cov)),
-    ],
-)
-def test_a_damaged_reading_is_refused(drive, field, change):
-    pipeline = SlamPipeline(SlamConfig())
-    with pytest.raises(SensorError, match=field):
-        pipeline.step(change(drive.odometry[3]), drive.scans[3])
 
 
 def test_a_dict_configures_as_well():
     assert SlamPipeline({"filter": {"kind": "ekf"}}).config.filter.kind == "ekf"
     with pytest.raises(ConfigError, match="filtre"):
         SlamPipeline({"filtre": {}})
-
-
-@pytest.mark.filterwarnings("ignore::mecp_env.slam.protocols.FullFilterWarning")
-def test_landmarks_beyond_the_capacity_are_counted(drive):
-    *_, (pipeline, output, _, _) = drive.run(SlamConfig(filter=FilterConfig(max_landmarks=8)))
-    assert len(output.belief.ids) == 8
-    assert pipeline.filter.dropped > 0
-
-
-class Foreign(Associator):
-    """An associator that returns a given match."""
-
-    def __init__(self, answer):
-        self.associate = lambda corners, polygons, view, belief: answer(len(corners))
-
-
-def test_an_own_associator_is_used_and_a_wrong_one_is_named(drive):
-    pipeline = SlamPipeline(SlamConfig(), associator=Foreign(lambda n: MatchBuilder(n).match()))
-    for scan in drive.scans[:3]:
-        output = pipeline.start(scan)
-    assert len(output.belief.ids)
-    pipeline.associator = Foreign(lambda n: MatchBuilder(n + 1).match())
-    with pytest.raises(MatchError, match=r"match\.ids: shape"):
-        pipeline.start(drive.scans[3])
-
-
-def test_the_pipeline_clusters_the_union_of_the_sweeps_by_the_step_of_one(drive):
-    """III-A.1, the dense scan of the paper's mode: all beams, and the segments of the front end by itself."""
-    config, scan = SlamConfig(clustering=SlamConfig.paper().clustering), drive.scans[0]
-    output = SlamPipeline(config).start(scan)
-    beams, _, segments, _ = front_end(scan, config.sensor, config)
-    assert len(output.beams.ranges) == scan.ranges.size
-    np.testing.assert_array_equal(output.beams.ranges, beams.ranges)
-    np.testing.assert_array_equal(output.segments.first, segments.first)
-    one = cluster_beams(beams, config.clustering, config.segments, config.sensor)
-    assert len(one.first) > len(
-        cluster_beams(beams, config.clustering, config.segments, config.sensor, len(scan.ranges)).first
-    )

@@ -9,22 +9,15 @@ from mecp_env.slam.association.gating import (
     FIXED,
     HERE,
     MatchBuilder,
-    chi2_gate,
     greedy_joint_compatibility,
     mask_by_descriptor,
     mask_by_room,
     one_to_one,
-    possible_pairs,
 )
 from mecp_env.slam.association.mecp import MecpAssociator, accept, polygon_hypotheses
 from mecp_env.slam.config import AssociationConfig, FilterConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.messages import (
-    UNKNOWN_ROOM,
-    CornerKind,
-    FeatureState,
-    Reason,
-)
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, FeatureState, Reason
 from tests.slam import make
 from tests.slam.make import polar
 
@@ -45,10 +38,6 @@ def common_error_case(rng, wrong):
         nu[2 * p : 2 * p + 2] += (0.5, -0.5)
     S = np.kron(np.ones((count, count)), np.eye(2)) + 1e-4 * np.eye(2 * count)
     return nu, S
-
-
-def test_chi2_gates_are_those_of_the_tables():
-    assert np.allclose([chi2_gate(2, 0.99), chi2_gate(4, 0.95), chi2_gate(12, 0.999)], [9.21, 9.49, 32.91], atol=0.005)
 
 
 def test_common_error_is_taken_out_and_the_odd_one_left():
@@ -146,21 +135,6 @@ def test_jambs_belong_to_both_rooms():
     assert masked(np.array([[1.0, 2.0]]), features, np.inf, home=1) == [[np.inf, 2.0]]
 
 
-def test_possible_pairs_are_those_inside_the_gate():
-    costs = np.array([[1.0, 3.0, 99.0], [99.0, 2.0, 4.0]])
-
-    def chosen(fixed):
-        pairs, cost, left = np.empty((2, 6), np.int64), np.empty(6), costs.copy()
-        corners, ids = np.array(list(fixed), np.int64), np.array(list(fixed.values()), np.int64)
-        count = possible_pairs(left, np.array([70, 71, 72]), corners, ids, 13.8, pairs, cost)
-        assert cost[:count].tolist() == [left[i, j - 70] for i, j in pairs[:, :count].T]
-        return pairs[:, :count].T.tolist()
-
-    assert chosen({}) == [[0, 70], [0, 71], [1, 71], [1, 72]]
-    assert chosen({0: 72}) == [[0, 72], [1, 71], [1, 72]]
-    assert chosen({0: 72, 1: 70}) == [[0, 72], [1, 70]]
-
-
 def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():
     corner, ids = np.array([0, 0, 1]), np.array([70, 71, 71])
     innovation = np.array([1.0, 0.0, 0.1, 0.0, 0.1, 0.0]), np.eye(6)
@@ -176,7 +150,7 @@ def test_pairs_of_a_polygon_are_accepted_first_and_have_its_reason():
     assert accepted([1.0, 0.01, 0.01])[0] == [70, 71]
 
 
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(8))
 def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
     rng = np.random.default_rng(seed)
     landmarks = rng.permutation(8)
@@ -195,11 +169,6 @@ def test_polygon_hypotheses_against_every_turn_of_every_map_polygon(seed):
     found, which = np.empty((21, 4), np.int64), np.empty(21, np.int64)
     h = polygon_hypotheses(nis, corners, landmarks, features_of(8, state=state), rings, gate, found, which)
     assert list(zip(which[:h].tolist(), found[:h].tolist(), strict=True)) == expected
-
-
-def test_rows_of_finds_ids_in_any_order():
-    belief = make.belief(p_map=np.zeros((3, 2)), ids=[7, 2, 9])
-    assert belief.rows(np.array([[9, 7], [2, 2]])).tolist() == [[2, 0], [1, 1]]
 
 
 @pytest.mark.parametrize(("moved", "paired"), [(0, 6), (2, 4), (5, 0)])

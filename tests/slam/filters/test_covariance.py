@@ -9,12 +9,13 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower
+from mecp_env.core.linalg import factor_lower, forward_rows, solve_lower
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from tests.slam.filters.conftest import random_cov, random_odometry, sensor_cov
 
-STEPS = ("predict", "slip", "update", "iterate", "augment", "merge", "remove", "pin")
+STEPS = ("predict", "slip", "update", "sharp", "iterate", "augment", "merge", "remove", "pin")
+OFTEN = (0.32, 0.02, 0.35, 0.02, 0.03, 0.08, 0.04, 0.12, 0.02)  # of a long life: as many come as go
 SEQUENCES = st.lists(st.sampled_from(STEPS), min_size=1, max_size=25)
 
 
@@ -38,22 +39,24 @@ class Life:
         self.filter.augment(z, sensor_cov(self.rng, m), self.born + np.arange(m))
         self.born += m
 
-    def update(self, iterate: bool = False) -> None:
+    def update(self, iterate: bool = False, sharp: float = 1.0) -> None:
         ids = self.rng.permutation(self.filter.ids)[:5]
         nu, _ = self.filter.innovation(np.zeros((len(ids), 2)), np.eye(2 * len(ids)), ids)
-        z = -nu.reshape(-1, 2) + self.rng.normal(size=(len(ids), 2)) * [0.05, 0.01]
-        self.filter.update(z, sensor_cov(self.rng, len(ids)), ids, iterate)
+        z = -nu.reshape(-1, 2) + sharp * self.rng.normal(size=(len(ids), 2)) * [0.05, 0.01]
+        self.filter.update(z, sharp**2 * sensor_cov(self.rng, len(ids)), ids, iterate)
 
     def iterate(self) -> None:
         self.update(iterate=True)
+
+    def sharp(self) -> None:
+        self.update(sharp=1e-3)
 
     def merge(self) -> None:
         """The two nearest landmarks become one."""
         belief = self.filter.belief()
         if len(belief.ids) >= 2:
-            distance = np.hypot(*(belief.p_map[:, None] - belief.p_map).transpose(2, 0, 1)) + 1e9 * np.eye(
-                len(belief.ids)
-            )
+            distance = np.hypot(*(belief.p_map[:, None] - belief.p_map).transpose(2, 0, 1))
+            np.fill_diagonal(distance, np.inf)
             i, j = np.unravel_index(distance.argmin(), distance.shape)
             self.filter.fuse(int(belief.ids[i]), int(belief.ids[j]))
 
@@ -70,25 +73,36 @@ def assert_covariance(cov: Any) -> None:
     assert np.linalg.eigvalsh(cov / np.outer(scale, scale)).min() > -1e-9  # of the correlations: free of units
 
 
+def assert_sound(life: Life) -> None:
+    size, belief = life.filter.size, life.filter.belief()
+    assert np.isfinite(life.filter.mean[:size]).all()
+    for cov in (life.filter.cov[:size, :size], belief.pose_cov, *belief.covs):
+        assert_covariance(cov)
+
+
 @pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@settings(max_examples=40, deadline=None, suppress_health_check=[HealthCheck.too_slow])
 @given(SEQUENCES, st.integers(0, 10**6))
 def test_any_life_of_a_filter_keeps_a_covariance(kind, sequence, seed):
     life = Life(kind, seed)
     life.augment()
     for step in sequence:
         getattr(life, step)()
-        size = life.filter.size
-        assert np.isfinite(life.filter.mean[:size]).all()
-        assert_covariance(life.filter.cov[:size, :size])
-        belief = life.filter.belief()
-        assert_covariance(belief.pose_cov)
-        for cov in belief.covs:
-            assert_covariance(cov)
+        assert_sound(life)
+
+
+@pytest.mark.slow
+def test_covariance_stays_symmetric_and_positive_for_long(kind):
+    life = Life(kind, 1)
+    for k, step in enumerate(life.rng.choice(STEPS, 20_000, p=OFTEN)):
+        getattr(life, step)()
+        if k % 100 == 0:
+            assert_sound(life)
+    assert life.born > 1000
 
 
 @pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 10**6))
 def test_an_update_adds_no_uncertainty_and_a_prediction_removes_none(kind, seed):
     life = Life(kind, seed)
@@ -100,7 +114,7 @@ def test_an_update_adds_no_uncertainty_and_a_prediction_removes_none(kind, seed)
         assert (after - before) * (1.0 if grow else -1.0) > -1e-6
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(st.integers(1, 12), st.integers(0, 10**6))
 def test_factors_and_solutions_are_those_of_numpy(n, seed):
     rng = np.random.default_rng(seed)
@@ -115,14 +129,3 @@ def test_factors_and_solutions_are_those_of_numpy(n, seed):
     y = solve_lower(L, b)
     assert y @ y == pytest.approx(b @ np.linalg.solve(S, b), rel=1e-6)
     assert not factor_lower(S - 2.0 * np.linalg.eigvalsh(S)[0] * np.eye(n))
-
-
-@settings(max_examples=50, deadline=None)
-@given(st.integers(1, 20), st.integers(1, 6), st.integers(0, 10**6))
-def test_a_downdate_is_symmetric_to_the_bit(n, rows, seed):
-    rng = np.random.default_rng(seed)
-    P, W = random_cov(rng, np.ones(n)), rng.normal(size=(rows, n))
-    expected = P - W.T @ W
-    downdate(P, n, W)
-    np.testing.assert_array_equal(P, P.T)
-    np.testing.assert_allclose(P, expected, atol=1e-12)

@@ -1,4 +1,4 @@
-"""Ids, slots, capacity, removal, copies, and the belief in world coordinates."""
+"""Ids, slots, capacity, removal, copies, the belief in world coordinates, and lasers off the centre."""
 
 from __future__ import annotations
 
@@ -8,26 +8,17 @@ import pickle
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import to_map
+from mecp_env.core.se2 import compose, to_map, to_robot, wrap_angle
+from mecp_env.core.sensors import LaserView
 from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters import Ekf, Filter, FilterError, SubmapEkf, make_filter
+from mecp_env.slam.filters import FilterError, make_filter
+from mecp_env.slam.filters.mounting import mount, predict_mounted, robot_belief
 from mecp_env.slam.protocols import FullFilterWarning
+from tests.slam import make
 from tests.slam.filters.conftest import Pair, random_odometry, sensor_cov
 
-
-def test_kind_is_chosen_by_the_configuration():
-    assert type(make_filter(FilterConfig())) is SubmapEkf
-    paper: Filter = make_filter(FilterConfig(kind="ekf"))
-    assert isinstance(paper, Ekf)
-
-
-def test_the_prior_is_the_configured_one(kind):
-    config = FilterConfig(kind=kind, prior_sigma_m=0.02, prior_sigma_rad=0.003)
-    belief = make_filter(config).belief()
-    np.testing.assert_array_equal(belief.T_map_robot, 0.0)
-    np.testing.assert_allclose(belief.pose_cov, np.diag([0.02**2, 0.02**2, 0.003**2]))
-    assert belief.p_map.shape == (0, 2)
-    assert belief.covs.shape == (0, 2, 2)
+MORE = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]])
+VIEW = LaserView(x_m=0.3, y_m=-0.2, heading_deg=40.0)
 
 
 def test_belief_and_marginal_are_those_of_the_world(pair):
@@ -45,17 +36,6 @@ def test_belief_and_marginal_are_those_of_the_world(pair):
     rows = [0, 1, 2, 11, 12, 5, 6]
     np.testing.assert_allclose(some, mean[rows], atol=0)
     np.testing.assert_allclose(some_cov, cov[np.ix_(rows, rows)], atol=1e-12)
-
-
-def test_belief_is_a_copy(pair):
-    belief = pair.filter.belief()
-    before = [a.copy() for a in (belief.T_map_robot, belief.pose_cov, belief.ids, belief.p_map, belief.covs)]
-    pair.predict()
-    pair.update(4)
-    pair.filter.remove(pair.ids[:2])
-    after = (belief.T_map_robot, belief.pose_cov, belief.ids, belief.p_map, belief.covs)
-    for a, b in zip(after, before, strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 def test_a_new_landmark_lies_where_it_was_seen(kind):
@@ -78,40 +58,9 @@ def test_remove_leaves_the_rest_as_it_was(pair):
     np.testing.assert_array_equal(after_cov, cov)
     with pytest.raises(FilterError, match="no landmarks"):
         pair.filter.remove(pair.ids[[1]])
-
-
-def test_ids_are_stable_through_growth_removal_and_fusion(kind):
-    rng = np.random.default_rng(0)
-    estimate = make_filter(FilterConfig(kind=kind))
-    where: dict[int, np.ndarray] = {}
-    for k in range(60):
-        ids = np.array([3 * k + 1, 3 * k])
-        z = np.stack([rng.uniform(1, 9, 2), rng.uniform(-3, 3, 2)], axis=1)
-        estimate.augment(z, np.eye(4) * 1e-4, ids)
-        belief = estimate.belief()
-        where |= {int(i): p for i, p in zip(belief.ids[-2:], belief.p_map[-2:], strict=True)}
-        if k % 5 == 4:
-            gone = rng.choice(belief.ids, 2, replace=False)
-            estimate.remove(gone)
-            where = {i: p for i, p in where.items() if i not in gone}
-        belief = estimate.belief()
-        assert belief.ids.tolist() == list(where)
-        np.testing.assert_array_equal(belief.p_map, list(where.values()))
-
-
-def test_capacity_grows_without_changing_a_bit(kind):
-    """Two filters, one of which had to grow its arrays: the same numbers."""
-    beliefs = []
-    for first in (1, 40):
-        rng = np.random.default_rng(1)
-        estimate = make_filter(FilterConfig(kind=kind))
-        z = np.stack([rng.uniform(1, 9, 40), rng.uniform(-3, 3, 40)], axis=1)
-        for part in np.split(np.arange(40), [first] if first < 40 else []):
-            estimate.augment(z[part], np.eye(2 * len(part)) * 1e-4, part)
-        estimate.predict(random_odometry(rng))
-        beliefs.append(estimate.marginal(np.arange(40)))
-    np.testing.assert_array_equal(beliefs[0][0], beliefs[1][0])
-    np.testing.assert_array_equal(beliefs[0][1], beliefs[1][1])
+    pair.filter.augment(np.array([[2.0, 0.1]]), np.eye(2) * 1e-4, np.array([7]))
+    assert pair.filter.ids.tolist() == [*rest.tolist(), 7]
+    np.testing.assert_array_equal(pair.filter.belief().p_map[:4].ravel(), mean[3:])
 
 
 def test_a_full_filter_drops_the_newest_and_counts(kind):
@@ -130,95 +79,82 @@ def test_a_full_filter_drops_the_newest_and_counts(kind):
     assert estimate.ids.tolist() == [1, 2, 3, 4, 5, 6, 7, 99]
 
 
-def test_snapshot_lives_on_alone(pair):
-    copied = copy.deepcopy(pair.filter)
-    before = copied.marginal(pair.ids)
-    pair.predict()
-    pair.update(4)
-    pair.filter.remove(pair.ids[:1])
-    for a, b in zip(copied.marginal(pair.ids), before, strict=True):
+@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda f: pickle.loads(pickle.dumps(f)), lambda f: f.copy()])
+def test_copies_are_independent_and_continue_bit_for_bit(kind, duplicate):
+    pair = Pair(kind, seed=4)
+    other, before = duplicate(pair.filter), pair.filter.state.copy()
+    steps = [(random_odometry(pair.rng), *pair.scan(3)) for _ in range(10)]
+    for estimate in (other, pair.filter):
+        if estimate is pair.filter:
+            np.testing.assert_array_equal(estimate.state, before)
+        for odometry, z, R, slots in steps:
+            estimate.predict(odometry)
+            estimate.update(z, R, pair.ids[slots])
+        estimate.augment(np.array([[2.0, 0.1]]), np.eye(2) * 1e-4, np.array([99]))
+    for a, b in zip(pair.filter.marginal(other.ids), other.marginal(other.ids), strict=True):
         np.testing.assert_array_equal(a, b)
 
 
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda f: pickle.loads(pickle.dumps(f))])
-def test_copies_continue_bit_for_bit(kind, duplicate):
-    pair = Pair(kind, seed=4)
-    other = duplicate(pair.filter)
-    for _ in range(20):
-        odometry = random_odometry(pair.rng)
-        z, R, slots = pair.scan(3)
-        for estimate in (pair.filter, other):
-            estimate.predict(odometry)
-            estimate.update(z, R, pair.ids[slots])
-    np.testing.assert_array_equal(pair.filter.mean, other.mean)
-    np.testing.assert_array_equal(pair.filter.cov, other.cov)
-
-
-def test_all_state_is_plain(pair):
-    for name, value in vars(pair.filter).items():
-        assert isinstance(value, (int, float, np.ndarray, dict, tuple)), name
-
-
-def test_set_pose_pins_the_robot_and_keeps_the_map(pair):
+@pytest.mark.parametrize("pose_cov", [None, MORE])
+def test_set_pose_is_independent_of_the_map_and_keeps_it(pair, pose_cov):
     mean, cov = pair.filter.marginal(pair.ids)
     T_map_robot = np.array([1.0, -2.0, 3.0])
-    pair.filter.set_pose(T_map_robot)
-    pinned, pinned_cov = pair.filter.marginal(pair.ids)
-    np.testing.assert_array_equal(pinned[:3], T_map_robot)
-    np.testing.assert_array_equal(pinned[3:], mean[3:])
-    np.testing.assert_allclose(pinned_cov[3:, 3:], cov[3:, 3:], atol=1e-12)
-    np.testing.assert_allclose(pinned_cov[:3, 3:], 0.0, atol=1e-12)
-    np.testing.assert_allclose(pinned_cov[:3, :3], 1e-12 * np.eye(3), atol=1e-14)
-
-
-def test_set_pose_with_a_covariance_is_independent_of_the_map(pair):
-    mean, cov = pair.filter.marginal(pair.ids)
-    T_map_robot, pose_cov = (
-        np.array([1.0, -2.0, 0.5]),
-        np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]]),
-    )
     pair.filter.set_pose(T_map_robot, pose_cov)
     placed, placed_cov = pair.filter.marginal(pair.ids)
     np.testing.assert_array_equal(placed, [*T_map_robot, *mean[3:]])
-    np.testing.assert_allclose(placed_cov[:3, :3], pose_cov, atol=1e-12)
+    np.testing.assert_allclose(placed_cov[:3, :3], 1e-12 * np.eye(3) if pose_cov is None else pose_cov, atol=1e-12)
     np.testing.assert_allclose(placed_cov[3:, 3:], cov[3:, 3:], atol=1e-12)
     np.testing.assert_allclose(placed_cov[:3, 3:], 0.0, atol=1e-12)
 
 
 def test_loosening_adds_to_the_pose_and_keeps_what_the_map_says_of_it(pair):
     mean, cov = pair.filter.marginal(pair.ids)
-    more = np.array([[0.4, 0.1, 0.0], [0.1, 0.3, -0.02], [0.0, -0.02, 0.1]])
-    pair.filter.loosen(more)
+    pair.filter.loosen(MORE)
     loose, loose_cov = pair.filter.marginal(pair.ids)
     np.testing.assert_array_equal(loose, mean)
-    cov[:3, :3] += more
+    cov[:3, :3] += MORE
     np.testing.assert_allclose(loose_cov, cov, atol=1e-12)
 
 
-def test_with_the_true_pose_landmarks_average_their_measurements(kind):
-    rng = np.random.default_rng(0)
-    estimate = make_filter(FilterConfig(kind=kind))
-    corner, R = np.array([4.0, 1.0]), np.diag([0.05**2, 0.005**2])
-    estimate.set_pose(np.zeros(3))
-    for k in range(100):
-        T = np.array([0.01 * k, 0.0, 0.002 * k])
-        estimate.set_pose(T)
-        d = corner - T[:2]
-        z = np.array([[np.hypot(*d), np.arctan2(d[1], d[0]) - T[2]]]) + rng.normal(size=2) * [0.05, 0.005]
-        estimate.update(z, R, np.array([0])) if k else estimate.augment(z, R, np.array([0]))
-    belief = estimate.belief()
-    assert np.hypot(*(belief.p_map[0] - corner)) < 0.02
-    assert np.sqrt(np.trace(belief.covs[0])) == pytest.approx(np.hypot(0.05, 4 * 0.005) / 10, rel=0.1)
+def test_a_shifted_pose_has_the_covariance_of_finite_differences(pair):
+    T = pair.rng.uniform(-1.0, 1.0, 3)
+    before = pair.filter.belief()
+    F = make.slopes(lambda pose: compose(pose, T), before.T_map_robot)
+    pair.filter.shift_pose(T)
+    after = pair.filter.belief()
+    assert after.T_map_robot == pytest.approx(compose(before.T_map_robot, T))
+    assert after.pose_cov == pytest.approx(F @ before.pose_cov @ F.T, abs=1e-9)
+    assert np.array_equal(after.p_map, before.p_map)
+    assert after.covs == pytest.approx(before.covs)
+    assert np.array_equal(pair.cov, pair.cov.T)
 
 
-def test_bumper_widens_sideways_and_heading(kind):
-    covs = []
-    for bumper in (False, True):
-        rng = np.random.default_rng(0)
-        estimate = make_filter(FilterConfig(kind=kind, bumper_lateral_sigma_m=0.1, bumper_heading_sigma_deg=2.0))
-        odometry = random_odometry(rng, arcs=4)
-        still = type(odometry)(np.zeros((4, 2)), odometry.cov, bumper)
-        estimate.predict(still)
-        covs.append(estimate.belief().pose_cov)
-    added = covs[1] - covs[0]
-    np.testing.assert_allclose(added, np.diag([0.0, 0.1**2, np.radians(2.0) ** 2]), atol=1e-15)
+def test_the_laser_moves_as_the_robot_does(kind):
+    rng, (plain, mounted) = np.random.default_rng(1), (make_filter(FilterConfig(kind=kind)) for _ in range(2))
+    mount(mounted, VIEW)
+    for _ in range(10):
+        odometry = random_odometry(rng)
+        plain.predict(odometry)
+        predict_mounted(mounted, odometry, VIEW)
+    belief = plain.belief()
+    assert robot_belief(belief, LaserView(field_of_view_deg=180.0)) is belief
+    believed, expected = robot_belief(mounted.belief(), VIEW), plain.belief()
+    assert believed.T_map_robot == pytest.approx(expected.T_map_robot)
+    assert believed.pose_cov == pytest.approx(expected.pose_cov)
+    assert mounted.belief().T_map_robot == pytest.approx(compose(expected.T_map_robot, VIEW.T_robot_laser))
+
+
+def test_the_innovation_is_that_of_the_equations_with_the_mounting_in_them(pair):
+    """S = H P H^T + R, H by finite differences of what a mounted laser measures, by the robot's pose and landmarks."""
+    mean, P = pair.filter.marginal(pair.ids)
+    pair.filter.shift_pose(VIEW.T_robot_laser)
+
+    def measured(x):
+        p = to_robot(compose(x[:3], VIEW.T_robot_laser), x[3:].reshape(-1, 2))
+        return np.stack([np.hypot(p[:, 0], p[:, 1]), np.arctan2(p[:, 1], p[:, 0])], axis=1).ravel()
+
+    z, R = measured(mean) + 0.01, sensor_cov(pair.rng, len(pair.ids))
+    H = make.slopes(measured, mean)
+    nu, S = pair.filter.innovation(z.reshape(-1, 2), R, pair.ids)
+    assert [wrap_angle(angle) for angle in nu] == pytest.approx(np.full(len(nu), 0.01))
+    np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-5, atol=1e-8)

@@ -74,7 +74,7 @@ class Ordeal(Drive):
         self.filters = tuple(self.each("copy"))
 
 
-@pytest.mark.parametrize("seed", [1, 2, 3])
+@pytest.mark.parametrize("seed", [1, 2])
 def test_no_digits_are_lost_by_whatever_happens(seed):
     """A covariance in terms of bare numbers lost so many that the filter ended after 16,929 steps in `50015848`."""
     config = FilterConfig(submap=30)

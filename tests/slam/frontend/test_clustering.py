@@ -13,7 +13,7 @@ from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.messages import ClusterKind
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M
-from tests.slam.scans import EXACT, PAPER, ROOM, blank_scan, chain, ring, take_scan
+from tests.slam.scans import EXACT, PAPER, ROOM, blank_scan, chain, take_scan
 
 SEGMENTS = SegmentConfig()
 PAPER_RULE = ClusteringConfig(threshold="adaptive")
@@ -56,11 +56,6 @@ def test_the_union_of_sweeps_is_clustered_by_the_step_of_one():
         assert len(cluster_beams(beams, PAPER_RULE, SEGMENTS, EXACT).first) == 2
 
 
-def test_a_scan_is_the_union_of_its_sweeps_only_where_the_configuration_says_so():
-    assert ClusteringConfig(sweeps="union").united(4) == 4
-    assert ClusteringConfig().united(4) == 1
-
-
 def test_the_threshold_grows_with_range_and_a_fixed_one_does_not():
     fixed = ClusteringConfig(threshold="fixed", fixed_m=0.3)
     for near, config, clusters in ((1.0, PAPER_RULE, 2), (5.0, PAPER_RULE, 1), (1.0, fixed, 1), (5.0, fixed, 1)):
@@ -75,27 +70,11 @@ def test_a_noisy_flat_wall_is_one_cluster_only_with_the_noise_term():
     assert cuts > 20  # derivations 2: a fifth of the pairs
 
 
-def test_a_wall_across_the_wrap_is_one_run():
-    beams = merge_sweeps(take_scan(chain((-2.0, 3.0), (-2.0, -3.0)), EXACT), EXACT)
-    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
-    assert len(clusters.first) == 1
-    assert spans(clusters)[0] == set(np.flatnonzero(beams.hit).tolist()) >= {0, 719}
-
-
 def test_a_closed_room_is_one_run_cut_at_its_farthest_corner():
     beams = merge_sweeps(take_scan(ROOM, EXACT), EXACT)
     clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
     assert (clusters.first.tolist(), clusters.last.tolist()) == ([0], [719])
     assert beams.bearings[clusters.roll] == pytest.approx(math.atan2(2.0, 3.0), abs=0.01)
-
-
-def test_a_jump_in_depth_ends_a_cluster():
-    faces = np.concatenate([chain((2.0, -1.0), (2.0, 1.0)), ring((5.0, -5.0), (5.0, 5.0), (-5.0, 5.0), (-5.0, -5.0))])
-    beams = merge_sweeps(take_scan(faces, EXACT), EXACT)
-    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
-    near = set(np.flatnonzero(beams.ranges < 2.5).tolist())
-    assert near in spans(clusters)
-    assert len(clusters.first) == 2
 
 
 def test_kinds():

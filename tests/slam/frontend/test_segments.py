@@ -11,7 +11,7 @@ from mecp_env.slam.config import SegmentConfig, SensorModel, SlamConfig
 from mecp_env.slam.frontend.beams import laser_noise, roll_beams
 from mecp_env.slam.frontend.lines import beam_points, line_cost, split_cluster
 from mecp_env.slam.frontend.segments import circle_cost
-from tests.slam.scans import EXACT, LMS200, PAPER, ROOM, blank_scan, chain, front_end, ring, take_scan, turned
+from tests.slam.scans import LMS200, PAPER, ROOM, chain, front_end, ring, take_scan
 
 CIRCLE = SegmentConfig().pillar_radius_m, SensorModel().outlier_sigmas
 
@@ -25,21 +25,6 @@ def noise_of(range_m, bearing):
     return laser_noise(SensorModel(range_sigma_m=range_m, bearing_sigma_deg=math.degrees(bearing)).record)
 
 
-def lengths(segments):
-    return np.hypot(*(segments.points[:, 1] - segments.points[:, 0]).T)
-
-
-@pytest.mark.parametrize("sweeps", [1, 4])
-def test_a_flat_wall_is_one_segment(sweeps):
-    for seed in range(20):
-        segments = segments_of(chain((2.0, -3.0), (2.0, 3.0)), seed=seed, sweeps=sweeps)
-        assert len(segments.line) == 1
-        alpha, rho = segments.line[0]
-        assert abs(alpha) < 4.0 * math.sqrt(segments.cov[0, 0, 0])
-        assert abs(rho - 2.0) < 4.0 * math.sqrt(segments.cov[0, 1, 1])
-        assert lengths(segments)[0] == pytest.approx(6.0, abs=0.3)
-
-
 def test_a_room_has_its_walls_in_order_of_bearing():
     segments = segments_of(ROOM)
     by_normal = {round(math.degrees(a) / 90.0) % 4: rho for a, rho in segments.line}
@@ -50,34 +35,13 @@ def test_a_room_has_its_walls_in_order_of_bearing():
     assert (points[:, 0, 0] * points[:, 1, 1] > points[:, 0, 1] * points[:, 1, 0]).all()  # counter-clockwise
 
 
-def test_the_normal_points_from_the_robot_to_the_wall():
-    for angle in np.linspace(-3.0, 3.0, 7):
-        segments = segments_of(turned(chain((2.0, -1.0), (2.0, 1.0)), angle), EXACT)
-        np.testing.assert_allclose(segments.line, [[angle, 2.0]], atol=1e-4)
-
-
-def test_a_wall_across_the_wrap_is_one_segment():
-    segments = segments_of(chain((-2.0, 2.0), (-2.0, -2.0)), LMS200)
-    assert len(segments.line) == 1
-    assert abs(abs(segments.line[0, 0]) - math.pi) < 0.01
-    assert lengths(segments)[0] == pytest.approx(4.0, abs=0.05)
-
-
 def test_what_is_too_short_or_has_too_few_beams_is_no_segment():
     assert len(segments_of(chain((2.0, -0.1), (2.0, 0.1))).line) == 0
     assert len(segments_of(chain((12.0, -0.2), (12.0, 0.2))).line) == 0
     assert len(segments_of(chain((2.0, -0.3), (2.0, 0.3))).line) == 1
 
 
-def test_scans_with_next_to_nothing():
-    for scan in (blank_scan(), take_scan(chain((2.0, -0.001), (2.0, 0.001)))):
-        segments = front_end(scan)[2]
-        assert segments.points.shape == (0, 2, 2)
-        assert segments.cov.shape == (0, 2, 2)
-
-
-@pytest.mark.parametrize("radius", [0.2, 0.45])
-@pytest.mark.parametrize("distance", [1.0, 2.0, 4.0, 6.0])
+@pytest.mark.parametrize(("radius", "distance"), [(0.2, 1.0), (0.2, 6.0), (0.45, 2.0), (0.45, 6.0)])
 def test_a_round_pillar_is_no_wall(radius, distance):
     angles = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
     pillar = ring(*(distance + radius * np.cos(angles) + 1j * radius * np.sin(angles)).view(float).reshape(-1, 2))
@@ -88,7 +52,7 @@ def test_a_round_pillar_is_no_wall(radius, distance):
     assert found <= (0 if radius > 0.3 else 3)  # a thin one at 6 m is met by eight beams
 
 
-@pytest.mark.parametrize("distance", [2.0, 4.0, 6.0])
+@pytest.mark.parametrize("distance", [2.0, 6.0])
 def test_a_narrow_face_is_no_pillar(distance):
     box = ring((distance, -0.25), (distance, 0.25), (distance + 0.4, 0.25), (distance + 0.4, -0.25))
     for seed in range(10):
@@ -96,15 +60,14 @@ def test_a_narrow_face_is_no_pillar(distance):
         assert np.hypot(middles[:, 0] - distance, middles[:, 1]).min() < 0.1
 
 
-def test_a_box_is_no_pillar():
-    box = turned(ring((1.5, -0.3), (1.5, 0.3), (2.1, 0.3), (2.1, -0.3)), 0.0)
-    box = turned(box - np.array([1.8, 0.0]), 0.8) + np.array([1.8, 0.0])
-    found = [len(segments_of(np.concatenate([box, 4.0 * ROOM]), seed=seed).line) - 4 for seed in range(10)]
-    assert np.mean(np.array(found) >= 2) >= 0.9
-
-
-@pytest.mark.parametrize("sensor", [PAPER, LMS200])
-@pytest.mark.parametrize("wall", [((2.0, -1.0), (2.0, 1.0)), ((1.0, 0.5), (4.0, 1.0)), ((3.0, -0.4), (3.2, 0.4))])
+@pytest.mark.parametrize(
+    ("sensor", "wall"),
+    [
+        (PAPER, ((2.0, -1.0), (2.0, 1.0))),
+        (LMS200, ((1.0, 0.5), (4.0, 1.0))),
+        (PAPER, ((3.0, -0.4), (3.2, 0.4))),
+    ],
+)
 def test_covariance_of_the_line(sensor, wall):
     (x0, y0), (x1, y1) = wall
     alpha = math.atan2(x0 - x1, y1 - y0)
@@ -166,7 +129,7 @@ def plain_breaks(points, cov, low, high, sigmas):
     return plain_breaks(points, cov, low, split, sigmas) + plain_breaks(points, cov, split, high, sigmas)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_ramer_douglas_peucker_against_a_plain_twin(seed):
     points, _, cov = random_beams(seed)
     breaks = np.empty(81, np.int64)

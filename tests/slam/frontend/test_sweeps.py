@@ -1,78 +1,47 @@
-"""The dense scan: interleaved sweeps become one beam per nominal bearing."""
+"""The dense scan: interleaved sweeps become one beam per nominal bearing, and what lasers lose; the whole front end."""
 
 from __future__ import annotations
 
+import dataclasses
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from mecp_env.slam.frontend.scan import merge_sweeps
+from mecp_env.slam.config import SensorModel, SlamConfig
+from mecp_env.slam.frontend import front_end as module
+from mecp_env.slam.frontend.scan import longest_run, merge_sweeps, restore_lost_beams, stop_at_walls
 from tests.slam import make
-from tests.slam.make import MAX_RANGE_M
-from tests.slam.scans import LMS200, PAPER, ROOM, blank_scan, chain, take_scan
+from tests.slam.make import MAX_RANGE_M, nominal_bearings
+from tests.slam.scans import PAPER, ROOM, blank_scan, cast, chain, front_end, ring, take_scan
 
-
-def test_one_sweep_stays_as_it_is():
-    scan = take_scan(ROOM, sweeps=1)
-    beams = merge_sweeps(scan, PAPER)
-    np.testing.assert_array_equal(beams.ranges, scan.ranges[0])
-    np.testing.assert_array_equal(beams.bearings, scan.bearings[0])
-    assert (beams.count == 1).all()
-    assert beams.hit.all()
-
-
-def test_raw_beams_are_all_there_in_order_of_bearing():
-    scan = take_scan(ROOM)
-    beams = merge_sweeps(scan, PAPER)
-    assert (np.diff(beams.raw_bearings) > 0).all()
-    np.testing.assert_array_equal(np.sort(beams.raw_ranges), np.sort(scan.ranges.ravel()))
+DARK = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, dark_dropout=0.2)
+SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80.0)
+GROWING = SensorModel(range_sigma_m=0.01, range_sigma_share=0.01, bearing_sigma_deg=0.0)
+RULES: tuple[dict[str, Any], ...] = (
+    {},
+    {"clustering": {"threshold": "fixed"}},
+    {"clustering": {"threshold": "adaptive"}},
+    {"corners": {"covariance": "sensor"}},
+)
 
 
 def test_sweeps_that_do_not_interleave_in_order_are_sorted():
     scan = take_scan(ROOM)
-    shuffled = make.scan(scan.ranges[[2, 0, 3, 1]], scan.bearings[[2, 0, 3, 1]])
-    np.testing.assert_array_equal(merge_sweeps(shuffled, PAPER).ranges, merge_sweeps(scan, PAPER).ranges)
-
-
-def test_a_wall_is_averaged_over_all_sweeps():
-    scan = take_scan(ROOM, LMS200)
-    beams = merge_sweeps(scan, LMS200)
-    whole = beams.count == 4
-    assert whole.mean() > 0.99
-    np.testing.assert_allclose(beams.ranges[whole], scan.ranges.mean(axis=0)[whole])
-    np.testing.assert_allclose(beams.bearings[whole], scan.bearings.mean(axis=0)[whole])
+    beams = merge_sweeps(make.scan(scan.ranges[[2, 0, 3, 1]], scan.bearings[[2, 0, 3, 1]]), PAPER)
+    np.testing.assert_array_equal(beams.ranges, merge_sweeps(scan, PAPER).ranges)
+    assert (np.diff(beams.raw_bearings) > 0).all()
+    np.testing.assert_array_equal(np.sort(beams.raw_ranges), np.sort(scan.ranges.ravel()))
 
 
 def test_the_average_has_a_quarter_of_the_variance():
     wall = chain((2.0, -4.0), (2.0, 4.0))
     square = [
-        np.square(merge_sweeps(take_scan(wall, seed=seed), PAPER).ranges[358:362] - 2.0).mean() for seed in range(300)
+        np.square(merge_sweeps(take_scan(wall, seed=seed), PAPER).ranges[358:362] - 2.0).mean() for seed in range(150)
     ]
     assert np.mean(square) == pytest.approx(0.05**2 / 4, rel=0.15)
-
-
-@pytest.mark.parametrize(
-    ("ranges", "expected", "count"),
-    [
-        ((2.0, 2.02, 5.0, 2.01), 2.01, 3),  # the larger group
-        ((2.0, 5.0, 5.02, 5.01), 5.01, 3),
-        ((5.0, 2.0, 5.02, 2.02), 2.01, 2),  # the nearer one of equal groups
-        ((2.0, 2.2, 2.05, 2.1), 2.0875, 4),  # noise
-    ],
-)
-def test_beams_of_two_surfaces_are_told_apart(ranges, expected, count):
-    beams = merge_sweeps(make.scan(np.repeat(np.array(ranges)[:, None], 720, axis=1)), PAPER)
-    np.testing.assert_allclose(beams.ranges, expected)
-    assert (beams.count == count).all()
-
-
-def test_the_bearing_is_that_of_the_beams_used():
-    scan = take_scan(ROOM)
-    ranges = scan.ranges.copy()
-    ranges[3, 100] = 12.0
-    beams = merge_sweeps(make.scan(ranges), PAPER)
-    assert beams.bearings[100] == pytest.approx(scan.bearings[:3, 100].mean())
 
 
 def test_rays_that_hit_nothing_stand_apart_from_hits():
@@ -83,13 +52,6 @@ def test_rays_that_hit_nothing_stand_apart_from_hits():
     assert [bool(beams.hit[i]) for i in (10, 20, 30)] == [False, True, False]
     assert [int(beams.count[i]) for i in (10, 20, 30)] == [3, 2, 4]
     assert beams.ranges[30] == MAX_RANGE_M
-
-
-def test_a_burst_without_hits():
-    for sweeps in (1, 4):
-        beams = merge_sweeps(blank_scan(sweeps), PAPER)
-        assert not beams.hit.any()
-        assert (beams.ranges == MAX_RANGE_M).all()
 
 
 def plain_merge(scan, sensor):
@@ -133,3 +95,117 @@ def test_the_union_of_the_sweeps_is_every_beam():
     np.testing.assert_array_equal(beams.ranges, scan.ranges.ravel()[order])
     np.testing.assert_array_equal(beams.hit, scan.hit.ravel()[order])
     assert beams.step == pytest.approx(merge_sweeps(scan, PAPER).step / 4, rel=1e-3)
+    np.testing.assert_array_equal(
+        merge_sweeps(take_scan(ROOM, sweeps=1), PAPER).ranges, take_scan(ROOM, sweeps=1).ranges[0]
+    )
+
+
+def without(scan, lost):
+    """The scan without the returns of the beams `lost`."""
+    hit = scan.hit.copy()
+    hit[:, lost] = False
+    return replace(scan, ranges=np.where(hit, scan.ranges, scan.max_range_m), hit=hit)
+
+
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_short_runs_are_restored_and_long_ones_are_not(sweeps):
+    """Also across the bearing of 180 degrees."""
+    scan = take_scan(ROOM, DARK, sweeps=sweeps)
+    few, many = [718, 719, 0, 100, 101, 102, 103], list(range(300, 305))
+    assert longest_run(DARK) == 4
+    whole, beams = (merge_sweeps(one, DARK) for one in (scan, without(scan, few + many)))
+    restored = restore_lost_beams(beams, DARK)
+    assert restored.hit[few].all()
+    assert not restored.hit[many].any()
+    np.testing.assert_allclose(restored.ranges[few], whole.ranges[few], atol=0.05)
+    kept = np.delete(np.arange(720), few)
+    assert np.array_equal(restored.ranges[kept], beams.ranges[kept])
+
+
+def test_an_opening_between_two_surfaces_is_not_closed():
+    faces = np.concatenate([chain((3.0, -1.0), (3.0, 0.0)), chain((6.0, 0.0), (6.0, 3.0))])
+    scan = take_scan(faces, DARK, sweeps=1)
+    edge = np.flatnonzero(scan.hit[0] & (scan.ranges[0] < 4.0)).max()
+    beams = merge_sweeps(without(scan, [edge]), DARK)
+    assert not restore_lost_beams(beams, DARK).hit[edge]
+
+
+def test_nothing_behind_a_slanting_wall_is_free():
+    """A wall 1 m to the left of the robot is seen up to 80 degrees, and hides what is behind it beyond that."""
+    faces = chain((30.0, 1.0), (-30.0, 1.0))
+    bearings = nominal_bearings(1)
+    hit = (bearings > math.radians(10.0)) & (bearings < math.radians(170.0))
+    scan = make.scan(cast(faces, bearings), hit=hit)
+    beams, _, segments, corners = front_end(scan, SLANTING)
+    assert len(segments.line) == 1
+    assert len(corners) == 0  # the wall goes on unseen: it has no end there
+    assert len(front_end(scan, SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0))[-1]) > 0
+    stopped = stop_at_walls(beams, segments, SLANTING)
+    towards = (bearings[0] > math.radians(3.0)) & (bearings[0] < math.radians(177.0))
+    np.testing.assert_allclose(stopped.ranges[towards], 1.0 / np.sin(bearings[0][towards]), rtol=0.01)
+    assert (stopped.ranges[bearings[0] < 0.0] == 30.0).all()
+    assert np.array_equal(stopped.hit, beams.hit)
+
+
+@pytest.mark.parametrize("distance_m", [1.0, 6.0])
+def test_lines_are_as_certain_as_the_noise_at_their_range(distance_m):
+    """The errors of a wall's direction and distance have the covariance that the front end gives them."""
+    d = distance_m
+    faces, errors = ring((d, -d), (d, d), (-d, d), (-d, -d)), []
+    rng = np.random.default_rng(1)
+    for _ in range(100):
+        true = cast(faces, nominal_bearings(1))
+        ranges = true + rng.normal(0.0, 1.0, true.shape) * np.maximum(0.01, 0.01 * true)
+        segments = front_end(make.scan(ranges), GROWING)[2]
+        for (alpha, rho), cov in zip(segments.line, segments.cov, strict=True):
+            turn = (alpha + math.pi / 4.0) % (math.pi / 2.0) - math.pi / 4.0  # from the normal of the nearest wall
+            if abs(turn) < 0.1:  # not a short cut across a corner
+                errors.append(np.array([turn, rho - d]) @ np.linalg.solve(cov, [turn, rho - d]))
+    assert len(errors) > 350
+    assert np.mean(errors) == pytest.approx(2.0, abs=0.4)
+
+
+def test_the_papers_constant_covariance_grows_with_range_as_well():
+    config = SlamConfig.paper()
+    corners = front_end(take_scan(ROOM, GROWING, sweeps=1), GROWING, config)[-1]
+    assert len(corners) >= 3
+    np.testing.assert_allclose(np.sqrt(corners.cov.diagonal()[::2]), np.maximum(0.01, 0.01 * corners.z[:, 0]))
+
+
+@pytest.mark.parametrize(("behind_m", "is_end"), [(6.0, True), (1.0, False), (None, True)])
+def test_what_follows_lost_beams_decides_whether_a_wall_ends(behind_m, is_end):
+    """A nearer surface that swallows beams hides the wall; a farther one, or nothing at all, shows its end."""
+    faces = chain((3.0, -2.0), (3.0, 0.0))
+    if behind_m is not None:
+        faces = np.concatenate([faces, chain((behind_m, 0.04 * behind_m), (behind_m, 3.0))])  # six beams later
+    corners = front_end(make.scan(cast(faces, nominal_bearings(1))), SLANTING)[-1]
+    at_end = np.abs(corners.z - [3.0, 0.0]).max(axis=1, initial=0.0) < 0.05
+    assert at_end.any() == is_end
+
+
+def bits(value: Any) -> Any:
+    """What is in a carrier."""
+    if dataclasses.is_dataclass(value):
+        return [bits(getattr(value, part.name)) for part in dataclasses.fields(value)]
+    return (value.dtype, value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
+
+
+@pytest.mark.parametrize("rules", RULES)
+@pytest.mark.parametrize("sweeps", [1, 4])
+def test_one_call_gives_the_bits_of_the_stages(rules: dict[str, Any], sweeps: int) -> None:
+    config = SlamConfig(**rules, sensor=PAPER)
+    for scan in (*(take_scan(ROOM, PAPER, seed, sweeps) for seed in range(2)), blank_scan(sweeps)):
+        assert bits(module.front_end(scan, config)) == bits(module.stage_by_stage(scan, config))
+
+
+@pytest.mark.parametrize(
+    ("fields", "calls"),
+    [({}, 1), ({"sensor": DARK}, 0), ({"sensor": SLANTING}, 0), ({"clustering": {"sweeps": "union"}}, 0)],
+)
+def test_lasers_that_lose_beams_and_unions_take_the_stages(
+    monkeypatch: pytest.MonkeyPatch, fields: dict[str, Any], calls: int
+) -> None:
+    called, real = list[None](), module.find_features
+    monkeypatch.setattr(module, "find_features", lambda *args: called.append(None) or real(*args))
+    module.front_end(take_scan(ROOM, PAPER), SlamConfig(**fields))
+    assert len(called) == calls

@@ -1,28 +1,37 @@
-"""The persistent map: tracks, polygons, duplicates."""
+"""The persistent map: tracks, polygons, duplicates, and dynamic objects, which are not landmarks."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import SlamConfig, TrackConfig
+from mecp_env.core.se2 import polar_to_points
+from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig, TrackConfig
+from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, whole_bodies, without_dynamic
 from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
-from mecp_env.slam.landmark_map.tracks import drop_tracks, find_duplicate, find_unconfirmed, track_corners
-from mecp_env.slam.messages import (
-    UNKNOWN_ROOM,
-    CornerKind,
-    Decision,
-    FeatureState,
-    FeatureTable,
+from mecp_env.slam.landmark_map.tracks import (
+    PruneLimits,
+    drop_tracks,
+    find_duplicate,
+    find_pruned,
+    find_unconfirmed,
+    track_corners,
 )
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Decision, FeatureState, FeatureTable, Reason
+from mecp_env.slam.rooms.doors import DoorMap, forget_jambs
 from tests.slam import make
+from tests.slam.drives import scripted_drive
+from tests.slam.scans import PAPER, front_end, ring, take_scan
 
 SQUARE = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
 ORIGIN = make.belief()
-
-
-def match_of(decisions, ids=None):
-    return make.match([-1] * len(decisions) if ids is None else ids, decisions)
+CONFIG = DynamicObjectsConfig()
+LIMITS = PruneLimits.of(SlamConfig())
+STAGE = make_dynamic_objects(CONFIG, PAPER)
+ROOM = ring((-3.0, -2.0), (4.0, -2.0), (4.0, 3.0), (-3.0, 3.0))
+CORNER = np.array([-4.0, -3.0])
+WEST, IN_THE_ROOM = (math.pi, np.nan), (1.5, 0.5)
 
 
 def graph_of(current=0, **fields):
@@ -36,20 +45,14 @@ def see(table, points, step, kind=0, config=None, graph=None):
     return track_corners(table, seen, graph or graph_of(), config)
 
 
-def test_a_corner_becomes_a_landmark_in_its_third_scan():
+@pytest.mark.parametrize(("kind", "needed"), [(CornerKind.CROSSING, 3), (CornerKind.JAMB, 2)])
+def test_a_corner_becomes_a_landmark_in_its_third_scan_and_a_jamb_in_its_second(kind, needed):
     table = FeatureTable()
-    for step, (decision, confirmed) in enumerate(
-        [(Decision.NEW, 0), (Decision.PROVISIONAL, 0), (Decision.PROVISIONAL, 1)]
-    ):
-        match, found = see(table, [[2.0, 1.0]], step)
-        assert match.decision.tolist() == [int(decision)]
+    for step in range(needed):
+        match, found = see(table, [[2.0, 1.0]], step, int(kind))
+        assert match.decision.tolist() == [int(Decision.PROVISIONAL if step else Decision.NEW)]
         assert match.ids.tolist() == [0]
-        assert len(found) == confirmed
-
-
-def test_a_jamb_needs_two():
-    table = FeatureTable()
-    assert [len(see(table, [[2.0, 1.0]], step, kind=2)[1]) for step in range(2)] == [0, 1]
+        assert len(found) == (step == needed - 1)
 
 
 def test_a_track_not_seen_again_dies_and_its_id_never_returns():
@@ -91,7 +94,7 @@ def landmarks(rooms):
     return table
 
 
-def ring(*vertices):
+def polygon(*vertices):
     return make.polygon(vertices, make.edges(*(edge % 3 for edge in range(len(vertices)))))
 
 
@@ -106,37 +109,28 @@ def prune(store, table, graph):
 
 def test_a_polygon_is_kept_once_whatever_vertex_it_starts_from():
     store, table = MapPolygonStore(32), landmarks([0] * 8)
-    remember(store, table, ring(2, 3, 0, 1), graph_of())
-    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    remember(store, table, polygon(2, 3, 0, 1), graph_of())
+    remember(store, table, polygon(0, 1, 2, 3), graph_of())
     assert len(store.polygons) == 1
     assert store.polygons[0].ids.tolist() == [0, 1, 2, 3]
     assert store.polygons[0].seen == 2
     assert store.groups[4].ids.tolist() == [[0, 1, 2, 3]]
 
 
-def test_edge_intervals_stay_with_their_edge():
-    store, table = MapPolygonStore(32), landmarks([0] * 8)
-    polygon = ring(2, 3, 0, 1)  # its edge 2 is the one from vertex 0 to vertex 1
-    remember(store, table, polygon, graph_of())
-    labels = {int(edge): label for edge, _, _, label in polygon.intervals}
-    assert [label for *_, label in store.polygons[0].intervals] == [labels[2], labels[3], labels[0], labels[1]]
-    assert store.polygons[0].intervals[:, 0].tolist() == [0, 1, 2, 3]
-
-
 @pytest.mark.parametrize("graph", [graph_of(current=1), graph_of(in_doorway=True)])
 def test_no_polygon_of_another_room_or_from_a_doorway(graph):
     store = MapPolygonStore(32)
-    remember(store, landmarks([0] * 8), ring(0, 1, 2, 3), graph)
+    remember(store, landmarks([0] * 8), polygon(0, 1, 2, 3), graph)
     assert not store.polygons
 
 
 def test_no_polygon_over_two_rooms_even_after_a_merge():
     """Fig. 6: polygons of different rooms share no vertex; landmarks that moved, or rooms merged, keep it so."""
     store, table = MapPolygonStore(32), landmarks([0] * 4 + [1] * 4)
-    remember(store, table, ring(0, 1, 2, 7), graph_of())
+    remember(store, table, polygon(0, 1, 2, 7), graph_of())
     assert not store.polygons
-    remember(store, table, ring(0, 1, 2, 3), graph_of())
-    remember(store, table, ring(4, 5, 6, 7), graph_of(current=1))
+    remember(store, table, polygon(0, 1, 2, 3), graph_of())
+    remember(store, table, polygon(4, 5, 6, 7), graph_of(current=1))
     table.rows["room"][3] = 1  # it was seen through a door
     prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[4, 5, 6, 7]]
@@ -145,21 +139,12 @@ def test_no_polygon_over_two_rooms_even_after_a_merge():
     assert [p.room for p in store.polygons] == [0]
 
 
-def test_polygons_of_dead_tracks_go():
-    store, table = MapPolygonStore(32), landmarks([0] * 8)
-    remember(store, table, ring(0, 1, 2, 3), graph_of())
-    table.rows["state"][2] = FeatureState.DEAD
-    prune(store, table, graph_of())
-    assert not store.polygons
-    assert not store.groups
-
-
 def test_the_cap_keeps_those_seen_most():
     store, table = MapPolygonStore(1), landmarks([0] * 8)
-    remember(store, table, ring(0, 1, 2, 3), graph_of())
-    remember(store, table, ring(0, 1, 2, 3), graph_of())
+    remember(store, table, polygon(0, 1, 2, 3), graph_of())
+    remember(store, table, polygon(0, 1, 2, 3), graph_of())
     assert not store.outdated
-    remember(store, table, ring(4, 5, 6, 7), graph_of())
+    remember(store, table, polygon(4, 5, 6, 7), graph_of())
     assert store.outdated
     prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[0, 1, 2, 3]]
@@ -167,8 +152,8 @@ def test_the_cap_keeps_those_seen_most():
 
 def test_fused_landmarks_leave_no_polygon_with_a_vertex_twice():
     store, table = MapPolygonStore(32), landmarks([0] * 8)
-    remember(store, table, ring(0, 1, 2, 3), graph_of())
-    remember(store, table, ring(1, 2, 3, 4), graph_of())
+    remember(store, table, polygon(0, 1, 2, 3), graph_of())
+    remember(store, table, polygon(1, 2, 3, 4), graph_of())
     store.rename(keep=0, drop=4)
     prune(store, table, graph_of())
     assert [p.ids.tolist() for p in store.polygons] == [[0, 1, 2, 3]]
@@ -177,26 +162,20 @@ def test_fused_landmarks_leave_no_polygon_with_a_vertex_twice():
     assert not store.polygons
 
 
-def believed(offset):
+@pytest.mark.parametrize(
+    ("offset", "turned", "seen", "found"),
+    [
+        (0.03, 0.0, [1], (0, 1)),
+        (0.03, np.pi, [1], None),  # two faces of a wall
+        (0.2, 0.0, [1], None),
+        (0.03, 0.0, [0, 1], None),  # seen side by side
+    ],
+)
+def test_two_landmarks_on_one_corner_are_found(offset, turned, seen, found):
     table = landmarks([0, 0])
-    return table, make.belief(p_map=[[2.0, 1.0], [2.0 + offset, 1.0]], pose_cov=1.0, covs=1e-3)
-
-
-def test_two_landmarks_on_one_corner_are_found():
-    table, belief = believed(0.03)
-    assert find_duplicate(table, belief, make.match([1]), SlamConfig()) == (0, 1)
-
-
-def test_two_faces_of_a_wall_are_no_duplicates():
-    table, belief = believed(0.03)
-    table.rows["normals"][1] += np.pi
-    assert find_duplicate(table, belief, make.match([1]), SlamConfig()) is None
-
-
-@pytest.mark.parametrize(("offset", "ids"), [(0.2, [1]), (0.03, [0, 1])])
-def test_landmarks_apart_or_seen_side_by_side_are_two(offset, ids):
-    table, belief = believed(offset)
-    assert find_duplicate(table, belief, make.match(ids), SlamConfig()) is None
+    table.rows["normals"][1] += turned
+    belief = make.belief(p_map=[[2.0, 1.0], [2.0 + offset, 1.0]], pose_cov=1.0, covs=1e-3)
+    assert find_duplicate(table, belief, make.match(seen), SlamConfig()) == found
 
 
 def test_while_few_landmarks_are_in_view_one_sighting_is_enough_and_what_is_not_seen_again_is_removed():
@@ -239,3 +218,144 @@ def test_the_room_of_a_corner_is_that_behind_its_door_and_open_beyond_a_gap():
     beyond, through = np.array([-1, 0, -1, -1]), np.array([-1, -1, 7, 8])
     assert graph.rooms_of(beyond, through).tolist() == [0, UNKNOWN_ROOM, 3, UNKNOWN_ROOM]
     assert replace(graph, in_doorway=True).rooms_of(beyond, through).tolist() == [UNKNOWN_ROOM] * 4
+
+
+def disc(x, y, radius=0.25):
+    angles = -np.arange(16) * (2.0 * math.pi / 16)
+    return ring(*np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)]))
+
+
+def box(x, y, half):
+    return ring((x - half, y - half), (x - half, y + half), (x + half, y + half), (x + half, y - half))
+
+
+def empty_room():
+    """The grid of ROOM after it was seen empty: floor up to the walls, walls, unknown beyond."""
+    x, y = (CORNER[a] + (np.arange(n) + 0.5) * 0.1 for a, n in ((0, 90), (1, 70)))
+    x, y = np.meshgrid(x, y)
+    label = np.where((x > -3.0) & (x < 4.0) & (y > -2.0) & (y < 3.0), 1, 0).astype(np.uint8)
+    wall = (np.abs(x + 3.05) < 0.06) | (np.abs(x - 4.05) < 0.06) | (np.abs(y + 2.05) < 0.06) | (np.abs(y - 3.05) < 0.06)
+    label[wall] = 2
+    return make.grid(label, origin=CORNER)
+
+
+def belief(*p_map, sigma=0.01):
+    return make.belief(p_map=p_map, covs=1e-6, pose_cov=np.diag([sigma**2 / 2, sigma**2 / 2, 1e-8]))
+
+
+def judged(faces, landmark, normals, scans=6, seen_in=()):
+    """The step in which the landmark is pruned, or None."""
+    table, where = make.features(1, normals=normals), belief(landmark)
+    for step in range(1, scans + 1):
+        beams, _, segments, _ = front_end(take_scan(faces, seed=step))
+        if step in seen_in:
+            table.rows["last_step"][0] = step
+        if len(find_pruned(beams, segments, where, table, step, LIMITS)):
+            return step
+    return None
+
+
+def test_a_body_on_floor_seen_free_is_dynamic_with_its_whole_rim():
+    beams, _, _, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
+    dynamic = STAGE.find(beams, belief(), empty_room())
+    points = polar_to_points(np.column_stack([beams.ranges, beams.bearings]))
+    on_body = np.hypot(*(points - (1.5, 0.5)).T) < 0.4
+    assert dynamic[on_body].mean() > 0.95
+    assert not dynamic[~on_body].any()
+
+
+def test_nothing_is_dynamic_in_an_empty_room_where_it_may_be_a_wall_or_in_the_static_world_of_the_paper():
+    for seed in range(5):
+        assert STAGE.find(front_end(take_scan(ROOM, seed=seed))[0], belief(), empty_room()) is None
+    beams, _, _, _ = front_end(take_scan(np.concatenate([ROOM, disc(1.5, 0.5)])))
+    assert STAGE.find(beams, belief(sigma=1.5), empty_room()) is None
+    paper = make_dynamic_objects(SlamConfig.paper().dynamic_objects, PAPER)
+    assert type(paper) is StaticWorld
+    assert paper.find(beams, belief(), empty_room()) is None
+
+
+def test_no_wall_is_painted_and_no_corner_taken_where_a_dynamic_object_is():
+    beams, _, segments, corners = front_end(take_scan(np.concatenate([ROOM, box(1.5, 0.5, 0.25)])))
+    dynamic = STAGE.find(beams, belief(), empty_room())
+    painted, left = STAGE.without(beams, segments, dynamic)
+    assert len(left.first) < len(segments.first)
+    assert all(np.hypot(*(ends.mean(axis=0) - (1.5, 0.5))) > 0.5 for ends in left.points)
+    assert not (painted.hit & dynamic).any()
+    assert STAGE.without(beams, segments, None) == (beams, segments)
+    new = make.match([-1] * len(corners))
+    match = STAGE.reject(new, corners, beams, dynamic)
+    near = np.hypot(*(polar_to_points(corners.z) - (1.5, 0.5)).T) < 0.5
+    assert near.any()
+    assert (match.decision[near] == Decision.IGNORED).all()
+    assert (match.reason[near] == Reason.DYNAMIC).all()
+    assert (match.decision[~near] == Decision.NEW).all()
+
+
+@pytest.mark.parametrize(
+    ("faces", "landmark", "normals", "options", "forgotten"),
+    [
+        (ROOM, IN_THE_ROOM, WEST, {}, True),  # beams pass well beyond it
+        (ROOM, IN_THE_ROOM, WEST, {"seen_in": (3, 6)}, False),
+        (np.concatenate([ROOM, disc(1.0, 0.33)]), IN_THE_ROOM, WEST, {}, False),  # it is hidden
+        (ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0), {}, True),  # at a wall that is seen whole
+        (ROOM, (4.04, 0.5), (0.0, -math.pi / 2.0), {"scans": 30}, False),  # on the other side of it
+        (ROOM, (-3.0, -2.0), (0.0, math.pi / 2.0), {"scans": 30}, False),  # a corner of the room
+        (ROOM, (4.0, 3.0), (math.pi, -math.pi / 2.0), {"scans": 30}, False),
+    ],
+)
+def test_a_landmark_is_forgotten_when_beams_pass_where_it_should_be(faces, landmark, normals, options, forgotten):
+    assert judged(faces, landmark, normals, **options) == (LIMITS.scans if forgotten else None)
+
+
+@pytest.mark.parametrize(("x", "y", "turn"), [(1.0, 0.1, 0.4), (2.0, 1.1, 0.0), (3.0, -0.9, 0.785), (3.0, 0.1, 0.0)])
+def test_corners_of_things_that_stand_in_the_room_stay(x, y, turn):
+    c, s = math.cos(turn), math.sin(turn)
+    standing = box(0.0, 0.0, 0.15) @ np.array([[c, s], [-s, c]]) + (x, y)
+    normals = np.arctan2(*(standing.mean(axis=1) - (x, y)).T[::-1])
+    for k in range(4):
+        faces = np.concatenate([ROOM, standing])
+        assert judged(faces, standing[k, 0], (normals[k - 1], normals[k]), scans=8) is None
+
+
+def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
+    book = DoorMap(sightings={(0, 1): 4, (4, 5): 3}, candidates=[make.candidate(ids=(4, 9))])
+    faces = ((0, 1), (2, 3)), ((4, 5), None), ((6, 7), (8, 9))
+    book.set_doors([make.door(id, *both) for id, both in enumerate(faces)])
+    forget_jambs(book, np.array([0, 4]))
+    assert [(door.id, door.jambs, door.other_face) for door in book.doors] == [(0, (2, 3), None), (2, (6, 7), (8, 9))]
+    assert (0, 1) not in book.sightings
+    assert not book.candidates
+
+
+def test_nothing_is_dynamic_and_nothing_pruned_in_a_static_world():
+    still = SlamConfig(dynamic_objects=DynamicObjectsConfig(margin_m=0.0))
+    drive = scripted_drive(seed=3)
+    for (_, watched, _, _), (_, plain, _, _) in zip(drive.run(SlamConfig()), drive.run(still), strict=True):
+        assert watched.belief.p_map.tobytes() == plain.belief.p_map.tobytes()
+        assert not (watched.match.reason == Reason.DYNAMIC).any()
+
+
+def test_a_segment_goes_when_more_than_half_of_its_beams_end_on_something_that_moves():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        size, roll = 30, int(rng.integers(30))
+        cuts = np.sort(rng.choice(size, 6, replace=False))
+        first, last, dynamic = cuts[0::2], cuts[1::2], rng.random(size) < 0.5
+        of_run = np.roll(dynamic, -roll)  # by position
+        plain = [of_run[a : b + 1].mean() <= 0.5 for a, b in zip(first, last, strict=True)]
+        segments = make.segments(first=first, last=last, roll=roll)
+        assert without_dynamic(segments, dynamic).first.tolist() == first[plain].tolist()
+
+
+def test_the_rim_of_a_body_is_dynamic_with_its_middle():
+    bearings = np.linspace(-1.0, 1.0, 201)
+    ranges = np.where(np.abs(bearings) < 0.1, 2.0, 4.0)
+    middle, hit = np.abs(bearings) < 0.05, np.ones(201, dtype=bool)
+    assert (whole_bodies(ranges, bearings, hit, middle, CONFIG.record) == (ranges == 2.0)).all()
+
+
+def test_no_landmark_is_forgotten_where_the_pose_is_too_uncertain():
+    table, where = make.features(1, normals=(math.pi, np.nan)), belief((1.5, 0.5), sigma=1.0)
+    for step in range(1, LIMITS.scans + 3):
+        beams, _, segments, _ = front_end(take_scan(ROOM, seed=step))
+        assert not len(find_pruned(beams, segments, where, table, step, LIMITS))

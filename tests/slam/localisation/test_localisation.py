@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.association import ignored
@@ -18,20 +19,11 @@ from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winne
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
-from tests.slam.drives import fed, scripted_drive
+from tests.slam.drives import fed
 from tests.slam.make import evidence
 
 CONFIG = LocalisationConfig()
 REACH_M, TURN_RAD = 8.0, math.radians(40.0)
-
-
-@pytest.fixture(scope="module")
-def mapped():
-    """A pipeline at the end of a drive through two rooms, its last output, and the drive."""
-    drive = scripted_drive()
-    pipeline = SlamPipeline()
-    *_, output = fed(pipeline, drive)
-    return pipeline, output, drive
 
 
 def in_map(drive, T_world_robot):
@@ -43,24 +35,14 @@ def off(a, b):
 
 
 def plain_count(beams, pose, grid, reach_m):
-    """The counts of `count_ends`, by sets of cells."""
-    walls = floors = count = 0
-    for r, b, hit in list(zip(beams.ranges, beams.bearings, beams.hit, strict=True))[::4]:
-        if not hit or r > reach_m:
-            continue
-        count += 1
-        end = pose[:2] + r * np.array([math.cos(pose[2] + b), math.sin(pose[2] + b)])
-        column, row = np.floor((end - grid.origin) / grid.resolution_m).astype(int)
-        height, width = grid.label.shape
-        if not (2 <= row < height - 2 and 2 <= column < width - 2):
-            continue
-        near = grid.label[row - 1 : row + 2, column - 1 : column + 2]
-        wide = grid.label[row - 2 : row + 3, column - 2 : column + 3]
-        if grid.label[row, column] == Cell.OCCUPIED or np.isin(near, [Cell.OCCUPIED, Cell.DOOR]).any():
-            walls += 1
-        elif (wide == Cell.FREE).all():
-            floors += 1
-    return walls, floors, count
+    """The counts of `count_ends`, by maps of cells near walls and amid floor."""
+    walls = ndimage.binary_dilation(np.isin(grid.label, [Cell.OCCUPIED, Cell.DOOR]), np.ones((3, 3)))
+    floor = ndimage.binary_erosion(grid.label == Cell.FREE, np.ones((5, 5))) & ~walls
+    r, b = (of[::4][(beams.hit & (beams.ranges <= reach_m))[::4]] for of in (beams.ranges, beams.bearings))
+    ends = pose[:2] + r[:, None] * np.stack([np.cos(pose[2] + b), np.sin(pose[2] + b)], axis=1)
+    cells = np.floor((ends - grid.origin) / grid.resolution_m).astype(int)[:, ::-1]
+    row, column = cells[((cells >= 2) & (cells < np.array(grid.label.shape) - 2)).all(axis=1)].T
+    return walls[row, column].sum(), floor[row, column].sum(), len(r)
 
 
 def test_ends_of_beams_are_counted_as_the_plain_twin_does():
@@ -86,17 +68,12 @@ def test_the_map_agrees_at_the_right_pose_and_contradicts_one_a_metre_off(mapped
     assert right.explained > 0.8
     assert not right.contradicts
     assert wrong.contradicts
-
-
-def test_without_a_map_nothing_is_said(mapped):
-    _, output, _ = mapped
-    empty = make.grid(np.zeros((0, 0)))
-    far = np.array([500.0, 0.0, 0.0])
+    empty, far = make.grid(np.zeros((0, 0))), np.array([500.0, 0.0, 0.0])
     for said in (
         agreement(output.beams, np.zeros(3), empty, REACH_M, 0.65),
         agreement(output.beams, far, output.grid, REACH_M, 0.65),
     ):
-        assert math.isnan(said.share)
+        assert math.isnan(said.share)  # without a map nothing is said
         assert not said.contradicts
 
 
@@ -109,9 +86,6 @@ def test_fitted_poses_are_those_that_moved_the_points():
     used[:, :2] = True
     there[~used] += 5.0
     np.testing.assert_allclose(fit(np.broadcast_to(points, there.shape), there, used), poses, atol=1e-9)
-
-
-def test_distinct_landmarks_are_counted_once():
     assert count_distinct(np.array([[3, 3, -1, 0], [-1, -1, -1, -1], [1, 2, 3, 4]])).tolist() == [2, 0, 4]
 
 
@@ -169,11 +143,7 @@ def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_on
 )
 def test_beams_and_corners_speak_for_a_pose(share, recognised, sharp, enough):
     assert evidence(share, recognised, sharp).is_enough == enough
-
-
-@pytest.mark.parametrize("many", [False, True])
-def test_many_corners_recognised_from_a_rough_prediction_are_enough(many: bool):
-    assert evidence(0.3, 0.7, sharp=False, many=many).is_enough == many
+    assert evidence(0.3, 0.7, sharp=False, many=enough).is_enough == enough  # many corners, of a rough prediction
 
 
 def test_a_least_share_of_zero_turns_the_guard_off():
@@ -296,15 +266,11 @@ def test_a_doubt_stays_until_something_speaks_for_the_pose():
     assert guard.trusts(evidence(math.nan, 0.2))  # a few recognised corners beyond the mapped floor say something
 
 
-def test_where_nothing_is_mapped_confidence_stays(mapped):
-    guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
-    before = guard.confidence(belief)
-    assert guard.trusts(evidence(math.nan, 0.2))
-    assert guard.confidence(belief) == before
-
-
 def test_confidence_falls_with_the_covariance_of_the_position(mapped):
     guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
+    before = guard.confidence(belief)
+    assert guard.trusts(evidence(math.nan, 0.2))  # nothing is mapped there
+    assert guard.confidence(belief) == before
     wide = [guard.confidence(replace(belief, pose_cov=np.eye(3) * sigma**2)) for sigma in (0.05, 0.25, 0.5, 2.0)]
     assert sorted(wide, reverse=True) == wide
     assert wide[0] > 0.99
@@ -326,8 +292,6 @@ def way_back(drive, error):
     "error",
     [
         (0.1, math.radians(7.0)),  # most beams still end near walls
-        (0.3, 0.2),
-        (1.0, math.radians(20.0)),
         (-1.0, math.radians(20.0)),
     ],
 )
@@ -398,20 +362,6 @@ def test_corners_that_are_all_gone_in_one_step_do_not_fit():
     assert not evidence(**new, sudden=True).fits
     assert evidence(0.9, 0.7, sudden=True).fits  # most are recognised all the same
     assert evidence(1.0, 0.8, sharp=False).beats(evidence(math.nan, 0.0))  # nothing is mapped at the prediction
-
-
-def test_a_robot_in_a_saved_map_finds_its_pose(mapped, tmp_path):
-    before, output, drive = mapped
-    before.save_map(tmp_path / "map")
-    pipeline = SlamPipeline.from_map(tmp_path / "map", start="unknown")
-    for k in range(40, 60):
-        found = pipeline.step(drive.odometry[k], drive.scans[k]) if k > 40 else pipeline.start(drive.scans[k])
-        if k == 40:
-            assert not found.localised
-            assert found.confidence < 0.01
-            np.testing.assert_array_equal(found.grid.label, output.grid.label)
-    assert found.localised
-    assert off(found.belief.T_map_robot, in_map(drive, drive.T_world_robot[59])) < (0.1, 0.05)
 
 
 def test_the_paper_never_doubts_its_pose(mapped):

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
+import shapely
 
 from mecp_env.slam.messages import CornerKind
 from tests.slam import make
 from tests.slam.make import MIDDLES
+from tests.slam.scans import cast
 
 ROOMS = {
     "rectangle": [(0, 0), (6, 0), (6, 4), (0, 4)],
@@ -24,31 +26,17 @@ def walls_of(*rings):
     return np.concatenate([np.stack([np.asarray(r, float), np.roll(np.asarray(r, float), -1, 0)], 1) for r in rings])
 
 
-def hit_ranges(walls, origin, directions):
-    """Distance (m,) from origin to the nearest wall along each unit direction (m,2); inf without one."""
-    a, d = walls[:, 0] - origin, walls[:, 1] - walls[:, 0]
-    across = directions[:, None, 0] * d[:, 1] - directions[:, None, 1] * d[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (a[:, 0] * d[:, 1] - a[:, 1] * d[:, 0]) / across
-        s = (a[:, 0] * directions[:, None, 1] - a[:, 1] * directions[:, None, 0]) / across
-    good = (t > 1e-9) & (s >= -1e-9) & (s <= 1 + 1e-9)
-    return np.where(good, t, np.inf).min(axis=1)
-
-
 def sees(walls, origin, points):
     """(n,) whether nothing lies between origin and each point; touching a corner does not count."""
     offset = points - origin
-    distance = np.hypot(*offset.T)
-    return hit_ranges(walls, origin, offset / distance[:, None]) > distance - 1e-6
+    return cast(walls - origin, np.arctan2(offset[:, 1], offset[:, 0])) > np.hypot(*offset.T) - 1e-6
 
 
-def beams_of(walls, pose, rng=None, sigma=0.0, max_range=30.0):
+def beams_of(walls, pose, rng=None, sigma=0.0):
     """The beams of a scan at pose (3,)."""
-    angles = MIDDLES + pose[2]
-    ranges = hit_ranges(walls, np.asarray(pose[:2]), np.column_stack([np.cos(angles), np.sin(angles)]))
-    hit = ranges < max_range
-    ranges = np.minimum(ranges + (0.0 if rng is None else rng.normal(0, sigma, 720)), max_range)
-    return make.beams(ranges, MIDDLES, hit, max_range_m=max_range)
+    ranges = cast(walls - pose[:2], MIDDLES + pose[2])
+    noise = 0.0 if rng is None else rng.normal(0, sigma, 720)
+    return make.beams(np.minimum(ranges + noise, make.MAX_RANGE_M), MIDDLES, ranges < make.MAX_RANGE_M)
 
 
 def corners_of(points, pose, *, sigma=0.005, kinds=None, doors=()):
@@ -65,33 +53,14 @@ def corners_of(points, pose, *, sigma=0.005, kinds=None, doors=()):
     return make.corners(z, cov=np.diag(spread**2), gaps=gaps, **marks)
 
 
-def inside(ring, point):
-    """True when the point lies in the simple ring."""
-    ring = np.asarray(ring, float)
-    a, b = ring, np.roll(ring, -1, 0)
-    spans = (a[:, 1] > point[1]) != (b[:, 1] > point[1])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        x = a[:, 0] + (point[1] - a[:, 1]) / (b[:, 1] - a[:, 1]) * (b[:, 0] - a[:, 0])
-    return bool(np.count_nonzero(spans & (point[0] < x)) % 2)
-
-
 def poses_in(ring, count, rng, holes=(), margin=0.25):
     """`count` random poses in the ring, `margin` off all walls, outside the holes."""
-    walls = walls_of(ring, *holes)
-    low, high = np.min(ring, axis=0), np.max(ring, axis=0)
-    found = []
+    floor, found = shapely.Polygon(ring, holes).buffer(-margin), []
     while len(found) < count:
-        p = rng.uniform(low, high)
-        if inside(ring, p) and not any(inside(h, p) for h in holes) and distance_to(walls, p) > margin:
+        p = rng.uniform(np.min(ring, axis=0), np.max(ring, axis=0))
+        if floor.contains(shapely.Point(p)):
             found.append(np.array([*p, rng.uniform(-np.pi, np.pi)]))
     return found
-
-
-def distance_to(walls, p):
-    """Distance from p to the nearest wall."""
-    a, d = walls[:, 0], walls[:, 1] - walls[:, 0]
-    t = np.clip(((p - a) * d).sum(1) / (d * d).sum(1), 0, 1)
-    return float(np.hypot(*(a + t[:, None] * d - p).T).min())
 
 
 def to_world(pose, z):
@@ -101,15 +70,5 @@ def to_world(pose, z):
 
 
 def wall_inside(walls, ring):
-    """How much wall (m) lies in the open convex ring (k,2), 1 mm of rounding left out."""
-    a, d = walls[:, 0], walls[:, 1] - walls[:, 0]
-    enter, leave = np.zeros(len(walls)), np.ones(len(walls))
-    for p, q in zip(ring, np.roll(ring, -1, 0), strict=True):
-        normal = np.array([p[1] - q[1], q[0] - p[0]]) / np.hypot(*(q - p))
-        depth, slope = (a - p) @ normal - 1e-3, d @ normal
-        with np.errstate(divide="ignore", invalid="ignore"):
-            t = -depth / slope
-        enter = np.where(slope > 1e-12, np.maximum(enter, t), enter)
-        leave = np.where(slope < -1e-12, np.minimum(leave, t), leave)
-        leave = np.where((np.abs(slope) <= 1e-12) & (depth <= 0), -1.0, leave)
-    return float((np.maximum(leave - enter, 0.0) * np.hypot(*d.T)).sum())
+    """How much wall (m) lies in the convex ring (k,2), 1 mm of rounding left out."""
+    return shapely.Polygon(ring).buffer(-1e-3).intersection(shapely.MultiLineString([*walls])).length

@@ -8,62 +8,32 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.frontend.clustering import wall_beams
-from mecp_env.slam.mecp.cycles import best_cycles, order_by_bearing, quietest_gap, visible_edges
-from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut, from_normal, passing_intervals
+from mecp_env.core.errors import ConfigError
+from mecp_env.slam.config import PolygonConfig, SlamConfig
+from mecp_env.slam.mecp import register_structure
+from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, order_by_bearing, visible_edges
+from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut, passing_intervals
 from mecp_env.slam.mecp.polygons import best_free_cycles
+from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
 from tests.slam.make import MIDDLES
-from tests.slam.mecp.reference import largest_empty_convex_polygons
-from tests.slam.mecp.test_polygons import convex_rings, edges, twice_area
+from tests.slam.mecp.plain import (
+    PER_VERTEX,
+    allowed_rings,
+    cross,
+    plain_visible_edges,
+    random_sites,
+    twice_area,
+    twin,
+    worth_of,
+)
 
 LIMITS = PolygonConfig().record[0]
 
 
-def random_sites(rng, n, tolerance):
-    """Sites around the origin by bearing; with tolerance 0 on a coarse grid, so that rays and lines coincide."""
-    points = rng.uniform(-3, 3, (n, 2)) if tolerance else np.unique(rng.integers(-3, 4, (n, 2)), axis=0) + 0.0
-    points = points[(points != 0).any(axis=1)]
-    return np.ascontiguousarray(points[order_by_bearing(points)])
-
-
-def cross(a, b):
-    return a[0] * b[1] - a[1] * b[0]
-
-
-def blocks(s, a, b, tolerance):
-    """Whether site s lies in the closed sector from a to b, more than `tolerance` left of the edge."""
-    depth = cross(b - a, s - a) / np.hypot(*(b - a))
-    return cross(a, s) >= 0 and cross(s, b) >= 0 and depth > tolerance
-
-
-def plain_visible_edges(points, tolerance):
-    n = len(points)
-    allowed = np.zeros((n, n), bool)
-    for i, j in itertools.permutations(range(n), 2):
-        others = [points[k] for k in range(n) if k not in (i, j)]
-        spans = cross(points[i], points[j]) > 0
-        allowed[i, j] = spans and not any(blocks(s, points[i], points[j], tolerance) for s in others)
-    return allowed
-
-
-def off_chord(points, ring):
-    """Distance of each vertex of a ring from the line through its neighbours."""
-    for a, b, c in zip(ring[-1:] + ring[:-1], ring, ring[1:] + ring[:1], strict=True):
-        yield cross(points[b] - points[a], points[c] - points[a]) / np.hypot(*(points[c] - points[a]))
-
-
 def plain_best_rings(points, tolerance):
     """All largest polygons around the origin, by definition: larger area first."""
-    allowed = plain_visible_edges(points, tolerance)
-    rings = [
-        ring
-        for ring in convex_rings(points)
-        if all(cross(a, b) > 0 for a, b in edges(points, ring))
-        and all(allowed[a, b] for a, b in zip(ring, ring[1:] + ring[:1], strict=True))
-        and min(off_chord(points, ring)) > tolerance
-    ]
+    rings = list(allowed_rings(points, tolerance))
     most = max(map(len, rings), default=0)
     return sorted((r for r in rings if len(r) == most), key=lambda ring: (-twice_area(points, ring), ring))
 
@@ -85,18 +55,8 @@ def test_visible_edges_are_those_whose_triangle_is_empty(tolerance):
         np.testing.assert_array_equal(visible_edges(points, tolerance), plain_visible_edges(points, tolerance))
 
 
-def test_the_quietest_gap_is_crossed_by_the_fewest_edges():
-    rng = np.random.default_rng(2)
-    for _ in range(100):
-        points = random_sites(rng, 10, 0.1)
-        allowed = visible_edges(points, 0.1)
-        n = len(points)
-        crossings = [sum((gap - i - 1) % n < (j - i) % n for i, j in np.argwhere(allowed)) for gap in range(n)]
-        assert crossings[quietest_gap(allowed)] == min(crossings)
-
-
 @pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
-@pytest.mark.parametrize("keep", [1, 2, 4])
+@pytest.mark.parametrize("keep", [1, 4])
 def test_best_cycles_are_the_best_by_definition(tolerance, keep):
     rng = np.random.default_rng(3)
     for _ in range(80):
@@ -110,61 +70,16 @@ def test_best_cycles_are_the_best_by_definition(tolerance, keep):
             assert [tuple(r[:s]) for r, s in zip(rings, sizes, strict=True) if s] == expected
 
 
-@pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
-def test_the_reference_agrees_with_the_compiled_one_and_the_definition(tolerance):
-    rng = np.random.default_rng(4)
-    for _ in range(150):
-        points = random_sites(rng, rng.integers(3, 9), tolerance)
-        found = largest_empty_convex_polygons(points, (0, 0), tolerance=tolerance, ties="cardinality")
-        assert sorted(found) == sorted(plain_best_rings(points, tolerance))
-
-
-def test_more_sites_than_brute_force_can_do_agree_between_both_searches():
+@pytest.mark.parametrize(("search", "per_vertex"), [(best_cycles, PER_VERTEX), (largest_cycle, 0.0)])
+def test_more_sites_than_brute_force_can_do_agree_with_the_twin(search, per_vertex):
     rng = np.random.default_rng(5)
-    for n in (12, 20, 30, 40):
-        for _ in range(10):
-            points = random_sites(rng, n, 0.1)
-            found = largest_empty_convex_polygons(points, (0, 0), tolerance=0.02, ties="cardinality")
-            sizes, rings = best_cycles(points, visible_edges(points, 0.02), 0.02, 2)
-            kept = [tuple(ring[:size].tolist()) for ring, size in zip(rings, sizes, strict=True) if size]
-            assert kept == found[: len(kept)]
-            assert len(kept) == min(2, len(found))
-
-
-def test_without_a_robot_tolerance_counts_from_the_leftmost_vertex():
-    rng = np.random.default_rng(6)
-    for tolerance in (0.0, 0.1, 0.5):
-        for _ in range(100):
-            points = rng.uniform(0, 3, (rng.integers(3, 8), 2))
-            rings = [r for r in convex_rings(points) if is_empty_from_leftmost(points, r, tolerance)]
-            rings = [r for r in rings if min(off_chord(points, r)) > tolerance]
-            most = max(map(len, rings), default=0)
-            found = largest_empty_convex_polygons(points, tolerance=tolerance, ties="cardinality")
-            assert sorted(found) == sorted(r for r in rings if len(r) == most)
-
-
-def is_empty_from_leftmost(points, ring, tolerance):
-    """No point lies deep in the edge behind it, as seen from the leftmost vertex, nor deep in that vertex's edges."""
-    start = min(range(len(ring)), key=lambda i: points[ring[i]][0])
-    ring = ring[start:] + ring[:start]
-    p = points[ring[0]]
-    for a, b in itertools.pairwise(ring[1:]):
-        a_p, b_p = points[a] - p, points[b] - p
-        for s in range(len(points)):
-            s_p = points[s] - p
-            deep = s not in ring and blocks(s_p, a_p, b_p, tolerance)
-            deep = deep and (a != ring[1] or cross(a_p, s_p) / np.hypot(*a_p) > tolerance)
-            if deep and (b != ring[-1] or cross(s_p, b_p) / np.hypot(*b_p) > tolerance):
-                return False
-    return True
-
-
-def test_the_polynomial_is_the_cosine():
-    for x in np.linspace(-np.pi / 2, np.pi / 2, 501):
-        for turns in (-1, 0, 1):
-            angle, cosine = from_normal(1.0 + x, 1.0 + turns * 2.0 * math.pi)
-            assert angle == pytest.approx(x)
-            assert abs(cosine - math.cos(x)) < 1e-10
+    for n, _ in itertools.product((10, 14, 20), range(6)):
+        points = random_sites(rng, n, 0.1)
+        allowed = visible_edges(points, 0.02)
+        found = search(points, allowed, 0.02, 1) if search is best_cycles else search(points, allowed, 0.02)
+        assert worth_of(points, found, per_vertex) == pytest.approx(
+            twin(points, allowed, 0.02, per_vertex), rel=0.0, abs=1e-6
+        )
 
 
 def edge_of(a, b, tolerance, beams):
@@ -205,14 +120,6 @@ def random_view(rng, a, b):
     offsets = np.repeat(rng.choice([-0.5, -0.19, 0.0, 0.02, 0.5, 3.0], 720), rng.integers(1, 40, 720))[: len(beams)]
     ranges[beams] = np.maximum(stands + offsets, 0.05)
     return make.edge_beams(ranges, rng.random(720) < 0.9)
-
-
-def test_beams_between_two_bearings_are_counted_around_the_end():
-    rng = np.random.default_rng(7)
-    for _ in range(500):
-        a, b = random_edge(rng)
-        edge = edge_of(a, b, 0.0, make.edge_beams(1.0))
-        assert [(edge.first + step) % 720 for step in range(edge.beams)] == beams_of_edge(a, b)[0].tolist()
 
 
 @pytest.mark.parametrize("tolerance", [0.0, 0.05])
@@ -265,15 +172,10 @@ def plain_intervals(a, b, tolerance, view):
     return np.array(intervals).reshape(-1, 2)
 
 
-def test_wall_beams_are_those_of_clusters_with_lines():
-    runs = 5, np.array([0, 4, 8]), np.array([2, 7, 9]), np.array([0, 1, 0])
-    assert np.flatnonzero(wall_beams(*runs, 12)).tolist() == [1, 2, 5, 6, 7]
-
-
-def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
-    rng = np.random.default_rng(11)
-    resolved = 0
-    for _ in range(300):
+@pytest.mark.parametrize("by_area", [False, True])
+def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds(by_area):
+    rng, resolved = np.random.default_rng(11), 0
+    for _ in range(200):
         points = random_sites(rng, rng.integers(0, 14), 0.1)
         sigmas = rng.uniform(0.002, 0.014, len(points))
         tolerance = 2.5 * (sorted(sigmas)[len(sigmas) // 2] if len(sigmas) else 0.0)  # of the upper median
@@ -283,9 +185,47 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds():
         for i, j in np.argwhere(allowed):
             edge = edge_between(points[i], points[j], max(sigmas[i], sigmas[j]), view, LIMITS)
             free[i, j] = not edge_is_cut(edge, view, LIMITS)
-        expected = best_cycles(points, free, tolerance, 2)
-        found = best_free_cycles(points, sigmas, view, LIMITS, False)
-        np.testing.assert_array_equal(found[0], expected[0])
-        np.testing.assert_array_equal(found[1], expected[1])
-        resolved += not np.array_equal(expected[1], best_cycles(points, allowed, tolerance, 2)[1])
-    assert resolved > 100
+        expected, unchecked = (
+            largest_cycle(points, edges, tolerance) if by_area else best_cycles(points, edges, tolerance, 2)
+            for edges in (free, allowed)
+        )
+        found = best_free_cycles(points, sigmas, view, LIMITS, by_area)
+        rings = [
+            [ring[:size].tolist() for size, ring in zip(*one, strict=True)] for one in (found, expected, unchecked)
+        ]
+        assert rings[0] == rings[1]
+        resolved += rings[1] != rings[2]
+    assert resolved > 50
+
+
+@pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
+def test_the_largest_cycle_is_the_largest_by_definition(tolerance):
+    rng, differs = np.random.default_rng(3), 0
+    for _ in range(150):
+        points = random_sites(rng, rng.integers(0, 9), tolerance)
+        allowed = visible_edges(points, tolerance)
+        sizes, rings = largest_cycle(points, allowed, tolerance)
+        expected = sorted(((twice_area(points, ring), ring) for ring in allowed_rings(points, tolerance)), reverse=True)
+        assert (sizes[0] > 0) == bool(expected)
+        assert worth_of(points, (sizes, rings), 0.0) == pytest.approx(expected[0][0] if expected else 0.0)
+        if tolerance and expected:  # no ties of area
+            assert tuple(rings[0][: sizes[0]]) == expected[0][1]
+            differs += sizes[0] < best_cycles(points, allowed, tolerance, 1)[0][0]
+    assert not tolerance or differs > 5
+
+
+def test_a_configuration_selects_it_by_name(drive):
+    pipeline = SlamPipeline({"polygon": {"structure": "largest_area"}})
+    outputs = [pipeline.start(drive.scans[0])]
+    outputs += [pipeline.step(drive.odometry[k], drive.scans[k]) for k in range(3, 30)]
+    assert {len(output.polygons) for output in outputs} <= {0, 1}
+    assert sum(bool(output.match.polygon >= 0) for output in outputs) > 10
+
+
+def test_a_custom_structure_is_registered_by_name(own_parts, drive):
+    with pytest.raises(ConfigError, match=r"polygon\.structure: .*'mecp', 'largest_area' or 'dobkin'"):
+        SlamConfig(polygon={"structure": "none"})
+    register_structure("none", lambda corners, beams, polygon, wall: ())
+    assert SlamPipeline({"polygon": {"structure": "none"}}).start(drive.scans[0]).polygons == ()
+    with pytest.raises(ConfigError, match=r"name: 'mecp' is one of ours \(mecp, largest_area, dobkin\)"):
+        register_structure("mecp", lambda corners, beams, polygon, wall: ())

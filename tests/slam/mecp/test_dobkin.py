@@ -11,10 +11,11 @@ from benchmarks.polygon_speed import scans_of
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.mecp.dobkin import in_kernel, rings_around, star, visible_from
+from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
+from tests.slam.mecp.plain import convex_rings, twice_area
 from tests.slam.mecp.polygon_rooms import beams_of, corners_of
-from tests.slam.mecp.reference import largest_empty_convex_polygons
 from tests.slam.mecp.test_polygon_scan import RECTANGLE, walls_of
+from tests.slam.mecp.test_polygons import is_empty_around
 
 ROBOT = np.zeros(2)
 PAPER = PolygonConfig(tolerance_sigmas=0.0, check_walls=False, sites="corners")
@@ -24,13 +25,8 @@ def left(a, b, c):
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0
 
 
-def is_polygon(points, ring):
-    """Convex, around the robot, without a site inside: by definition."""
-    sides = [(points[a], points[b]) for a, b in zip(ring, (*ring[1:], ring[0]), strict=True)]
-    corners = zip(ring, (*ring[1:], ring[0]), (*ring[2:], *ring[:2]), strict=True)
-    convex = all(left(points[a], points[b], points[c]) for a, b, c in corners)
-    empty = not any(all(left(a, b, p) for a, b in sides) for i, p in enumerate(points) if i not in ring)
-    return convex and empty and all(left(a, b, ROBOT) for a, b in sides)
+def leftmost(points, ring):
+    return min(ring, key=lambda i: tuple(points[i]))
 
 
 def sees_all(points, p):
@@ -44,45 +40,21 @@ def angle_about(points, p):
     return lambda i: np.arctan2(*(points[i] - points[p])[::-1])
 
 
-def by_definition(points, by_kernel):
-    """Most vertices of a polygon around the robot, of all or of those whose leftmost vertex the rule leaves; or 0."""
-    allowed = [p for p in range(len(points)) if not by_kernel or sees_all(points, p)]
-    for size in range(len(points), 2, -1):
-        for chosen in itertools.combinations(range(len(points)), size):
-            centre = points[list(chosen)].mean(axis=0)
-            ring = sorted(chosen, key=lambda i: np.arctan2(*(points[i] - centre)[::-1]))
-            leftmost = min(chosen, key=lambda i: tuple(points[i]))
-            if leftmost in allowed and is_polygon(points, tuple(ring)):
-                return size
-    return 0
-
-
 @pytest.mark.parametrize("by_kernel", [True, False])
 def test_the_search_is_exact_among_the_leftmost_vertices_that_the_rule_leaves(by_kernel):
     rng = np.random.default_rng(2)
     for _ in range(150):
         points = rng.uniform(-1.0, 1.0, (rng.integers(3, 9), 2))
-        rings = rings_around(points, by_kernel)
-        assert (rings[0].size if rings else 0) == by_definition(points, by_kernel)
-        for ring in rings:
-            assert is_polygon(points, ring.vertices)
-            assert ring.vertices[0] == min(ring.vertices, key=lambda i: tuple(points[i]))
-            assert len(ring.vertices) == ring.size
-            x, y = points[list(ring.vertices)].T
-            assert ring.area == pytest.approx(x @ np.roll(y, -1) - y @ np.roll(x, -1))
-
-
-def test_without_the_rule_it_is_the_mecp_for_more_sites_than_brute_force_can_do():
-    rng, lost = np.random.default_rng(3), 0
-    for n in (12, 16, 20):
-        for _ in range(30):
-            points = rng.uniform(-1.0, 1.0, (n, 2))
-            (best, *_) = largest_empty_convex_polygons(points, ROBOT) or [()]
-            rings = rings_around(points, by_kernel=False)
-            assert (sorted(rings[0].vertices) if rings else []) == sorted(best)
-            by_rule = rings_around(points)
-            lost += not by_rule or by_rule[0].size < len(best)
-    assert lost > 60  # the kernel is far too strict for sites anywhere
+        rings = [ring for ring in convex_rings(points) if is_empty_around(points, ring, ROBOT)]
+        if by_kernel:
+            rings = [ring for ring in rings if sees_all(points, leftmost(points, ring))]
+        found = rings_around(points, by_kernel)
+        assert (found[0].size if found else 0) == max(map(len, rings), default=0)
+        for ring in found:
+            first = ring.vertices.index(min(ring.vertices))
+            assert (*ring.vertices[first:], *ring.vertices[:first]) in rings
+            assert ring.vertices[0] == leftmost(points, ring.vertices)
+            assert ring.area == pytest.approx(twice_area(points, tuple(ring.vertices)))
 
 
 def test_visible_edges_are_those_with_an_empty_triangle():
@@ -97,12 +69,6 @@ def test_visible_edges_are_those_with_an_empty_triangle():
             sides = list(itertools.pairwise([*corners, corners[0]]))
             blocked = any(all(left(a, b, q) for a, b in sides) for q in fan if q not in corners)
             assert (i in incoming[j]) == (not blocked)
-
-
-def test_the_kernel_is_where_every_edge_is_seen_from():
-    bent = [(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (2.0, 1.0), (0.0, 4.0)]
-    assert in_kernel((2.0, 0.5), bent)
-    assert not in_kernel((3.8, 3.0), bent)
 
 
 def test_in_a_rectangle_both_searches_find_the_room():
@@ -123,15 +89,13 @@ def test_in_scans_the_rule_loses_polygons_and_invents_none():
             find_structure(corners, beams, PAPER.model_copy(update={"structure": name}), wall)
             for name in ("mecp", "dobkin")
         )
-        most = max((len(polygon.corners) for polygon in mecp), default=0)
         sizes = {len(polygon.corners) for polygon in dobkin}
-        assert len(sizes) <= 1
+        most = max((len(polygon.corners) for polygon in mecp), default=0)
         assert max(sizes, default=0) <= most
+        assert len(sizes) <= 1
         assert len(dobkin) <= PAPER.keep_ties
         lost += max(sizes, default=0) < most
-        points = polar_to_points(corners.z)
         for polygon in dobkin:
-            x, y = points[polygon.corners].T
-            assert x @ np.roll(y, -1) - y @ np.roll(x, -1) > 0.0
+            assert twice_area(polar_to_points(corners.z), tuple(polygon.corners)) > 0.0
             assert corners.sites[polygon.corners].all()
     assert lost > 10

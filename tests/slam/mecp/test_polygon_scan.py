@@ -30,9 +30,9 @@ RECTANGLE = np.array(ROOMS["rectangle"], float)
 def rooms():
     """Name, faces, corners, poses of each room, one of them with a box in it."""
     for name, ring in ROOMS.items():
-        yield name, walls_of(ring), np.array(ring, float), poses_in(ring, 40, np.random.default_rng(len(ring)))
+        yield name, walls_of(ring), np.array(ring, float), poses_in(ring, 25, np.random.default_rng(len(ring)))
     ring = ROOMS["rectangle"]
-    poses = poses_in(ring, 40, np.random.default_rng(9), holes=(BOX,))
+    poses = poses_in(ring, 25, np.random.default_rng(9), holes=(BOX,))
     yield "box", walls_of(ring, BOX), np.array([*ring, *BOX], float), poses
 
 
@@ -51,43 +51,24 @@ def ring_of(polygon, corners, pose):
 )
 def test_no_wall_crosses_a_polygon_whose_sites_are_all_visible_corners(name, walls, points, poses):
     """The theorem of derivations 1.5, without the wall-crossing check, which then changes nothing."""
+    rng = np.random.default_rng(5)
     for pose in poses:
-        corners = corners_of(points[sees(walls, pose[:2], points)], pose)
-        beams = beams_of(walls, pose)
+        corners, beams = corners_of(points[sees(walls, pose[:2], points)], pose), beams_of(walls, pose)
         polygons = find_polygons(corners, beams, UNCHECKED)
         assert polygons
         for polygon in polygons:
-            assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.02
+            ring = ring_of(polygon, corners, pose)
+            assert wall_inside(walls, ring) < 0.02
+            assert area(ring) > 0.0
+            assert polygon.corners[0] == polygon.corners.min()
         checked = find_polygons(corners, beams, CONFIG)
         assert [p.corners.tolist() for p in polygons] == [p.corners.tolist() for p in checked]
-
-
-@pytest.mark.parametrize("name", ["L", "T", "cross"])
-def test_every_vertex_is_visible_from_everywhere_in_the_polygon(name):
-    """Eq. 1: visibility(P, V) = 1."""
-    walls, points = walls_of(ROOMS[name]), np.array(ROOMS[name], float)
-    rng = np.random.default_rng(1)
-    for pose in poses_in(ROOMS[name], 15, rng):
-        corners = corners_of(points[sees(walls, pose[:2], points)], pose)
-        for polygon in find_polygons(corners, beams_of(walls, pose), CONFIG):
-            ring = ring_of(polygon, corners, pose)
-            for weights in rng.dirichlet(np.ones(len(ring)), 10):
-                assert sees(walls, weights @ ring, ring).all()
-
-
-def test_all_corners_of_the_room_as_sites_would_let_walls_in():
-    """Why sites are the corners seen in this scan (derivations 1.5, first row of the table)."""
-    walls, points = walls_of(ROOMS["T"]), np.array(ROOMS["T"], float)
-    crossed = 0
-    for pose in poses_in(ROOMS["T"], 60, np.random.default_rng(2)):
-        corners = corners_of(points, pose)
-        beams = beams_of(walls, pose)
-        crossed += any(
-            wall_inside(walls, ring_of(p, corners, pose)) > 0.3 for p in find_polygons(corners, beams, UNCHECKED)
-        )
-        for polygon in find_polygons(corners, beams, CONFIG):
-            assert wall_inside(walls, ring_of(polygon, corners, pose)) < 0.3
-    assert crossed > 5
+        for polygon in find_polygons(corners, beams_of(walls, pose, rng, 0.02), CONFIG):
+            for edge in range(len(polygon.corners)):  # its intervals cover it without overlap
+                rows = polygon.intervals[polygon.intervals[:, 0] == edge]
+                assert (rows[0, 1], rows[-1, 2]) == (0.0, 1.0)
+                np.testing.assert_array_equal(rows[1:, 1], rows[:-1, 2])
+                assert (rows[:, 2] > rows[:, 1]).all()
 
 
 def test_the_wall_crossing_check_keeps_walls_out_where_corners_were_missed():
@@ -164,20 +145,6 @@ def test_an_edge_across_free_space_is_open_and_the_goal_beyond_it_free():
     assert sees(walls, pose[:2], goal[None]).all()
 
 
-def test_intervals_cover_each_edge_without_overlap():
-    rng = np.random.default_rng(5)
-    for _, walls, points, poses in rooms():
-        for pose in poses[:15]:
-            corners = corners_of(points[sees(walls, pose[:2], points)], pose)
-            for polygon in find_polygons(corners, beams_of(walls, pose, rng, 0.02), CONFIG):
-                for edge in range(len(polygon.corners)):
-                    rows = polygon.intervals[polygon.intervals[:, 0] == edge]
-                    assert rows[0, 1] == 0.0
-                    assert rows[-1, 2] == 1.0
-                    np.testing.assert_array_equal(rows[1:, 1], rows[:-1, 2])
-                    assert (rows[:, 2] > rows[:, 1]).all()
-
-
 def test_of_equally_many_vertices_the_two_largest_polygons_are_kept():
     walls, points = walls_of(ROOMS["cross"]), np.array(ROOMS["cross"], float)
     pose = np.array([3.1, 2.9, 0.3])
@@ -193,16 +160,6 @@ def test_of_equally_many_vertices_the_two_largest_polygons_are_kept():
 
 def area(ring):
     return 0.5 * np.sum(ring[:, 0] * np.roll(ring[:, 1], -1) - ring[:, 1] * np.roll(ring[:, 0], -1))
-
-
-def test_corners_of_a_polygon_are_ccw_from_the_smallest():
-    for _, walls, points, poses in rooms():
-        for pose in poses[:10]:
-            corners = corners_of(points[sees(walls, pose[:2], points)], pose)
-            for polygon in find_polygons(corners, beams_of(walls, pose), CONFIG):
-                assert polygon.corners[0] == polygon.corners.min()
-                assert polygon.corners.dtype == np.int64
-                assert area(ring_of(polygon, corners, pose)) > 0
 
 
 def test_jambs_of_this_side_are_vertices_only_where_there_is_no_polygon_of_four_without():
@@ -227,35 +184,3 @@ def test_a_triangle_comes_back_where_there_is_nothing_better():
     corners = corners_of(room, pose)
     (polygon,) = find_polygons(corners, beams_of(walls_of(room), pose), CONFIG)
     assert len(polygon.corners) == 3
-
-
-@pytest.mark.parametrize("count", [0, 1, 2])
-def test_too_few_corners_give_no_polygon(count):
-    pose = np.array([3.0, 2.0, 0.0])
-    assert find_polygons(corners_of(RECTANGLE[:count], pose), beams_of(walls_of(RECTANGLE), pose), CONFIG) == ()
-
-
-def test_tolerance_makes_polygons_repeatable_where_corners_are_collinear():
-    """derivations 1.4: two scans of one place share their vertices; without tolerance they often do not."""
-    points = np.array([*RECTANGLE, (3.0, 0.0), (2.0, 4.0), (6.0, 2.5)])
-    walls, rng = walls_of(RECTANGLE), np.random.default_rng(6)
-    same = {0.0: 0, 2.5: 0}
-    for pose in poses_in(RECTANGLE, 60, rng, margin=0.5):
-        beams = beams_of(walls, pose)
-        for sigmas in same:
-            seen = [corners_of(points + rng.normal(0, 0.02, points.shape), pose, sigma=0.02) for _ in range(2)]
-            names = [
-                {
-                    frozenset(name_of(c, pose, points, p))
-                    for p in find_polygons(c, beams, PolygonConfig(tolerance_sigmas=sigmas))
-                }
-                for c in seen
-            ]
-            same[sigmas] += bool(names[0] & names[1])
-    assert same[2.5] > 50 > same[0.0]
-
-
-def name_of(corners, pose, points, polygon):
-    """Indices of the true points nearest to the vertices."""
-    ring = ring_of(polygon, corners, pose)
-    return np.argmin(np.hypot(*(ring[:, None] - points).transpose(2, 0, 1)), axis=1).tolist()

@@ -8,17 +8,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
+from mecp_env.slam.config import FilterConfig
+from mecp_env.slam.filters import make_filter
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
-from mecp_env.slam.panorama.recent_scans import is_in_room, rooms_like
+from mecp_env.slam.panorama.recent_scans import (
+    is_in_room,
+    marks_seen,
+    poses_of_marks,
+    poses_since,
+    rooms_like,
+    seen_from,
+)
 from mecp_env.slam.panorama.registration import surfaces_of
 from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
 from tests.slam import make
-from tests.slam.panorama.test_pose_marks import SPREAD, numerical_jacobian
 from tests.slam.scans import PAPER, front_end, ring, take_scan
 
 T = np.array([0.4, -0.3, 0.8])
+MARKS = np.array([-2, -3])
+TINY = np.eye(3) * 1e-12
+POSE, SPREAD = (
+    np.array([1.2, -0.4, 0.7]),
+    np.array([[0.02, 0.003, 0.001], [0.003, 0.01, -0.002], [0.001, -0.002, 0.004]]),
+)
 
 
 def seen(z: np.ndarray, T_now_past: np.ndarray) -> np.ndarray:
@@ -26,7 +40,7 @@ def seen(z: np.ndarray, T_now_past: np.ndarray) -> np.ndarray:
     return np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
 
 
-@pytest.mark.parametrize("count", [0, 1, 4])
+@pytest.mark.parametrize("count", [0, 4])
 def test_moved_corners_have_the_covariance_of_measurement_and_pose(count):
     rng = np.random.default_rng(count)
     z, root = (
@@ -37,8 +51,8 @@ def test_moved_corners_have_the_covariance_of_measurement_and_pose(count):
     moved, cov = moved_measurements(z, R, T, SPREAD)
     assert np.allclose(moved, seen(z, T))
     if count:
-        by_z = numerical_jacobian(lambda x: seen(x.reshape(-1, 2), T).ravel(), z.ravel())
-        by_pose = numerical_jacobian(lambda x: seen(z, x).ravel(), T)
+        by_z = make.slopes(lambda x: seen(x.reshape(-1, 2), T).ravel(), z.ravel())
+        by_pose = make.slopes(lambda x: seen(z, x).ravel(), T)
         assert np.allclose(cov, by_z @ R @ by_z.T + by_pose @ SPREAD @ by_pose.T, rtol=1e-6, atol=1e-9)
 
 
@@ -108,3 +122,53 @@ def test_corners_of_rooms_that_were_merged_into_the_present_one_are_of_it():
     new, none, still = np.full(1, -1), np.empty(0, np.int64), np.ones(1, dtype=bool)
     kept = [bool(is_in_room((new, new, still), room, (none, none), rooms_like(graph))[0]) for room in range(5)]
     assert kept == [True, True, True, False, False]
+
+
+def drive(landmark_filter, increments, sigma_m=0.03, sigma_rad=0.02):
+    landmark_filter.predict(make.odometry(increments, (sigma_m, sigma_rad)))
+
+
+@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
+def test_a_clone_knows_the_motion_since(kind):
+    drives = [[(0.5, 0.3), (0.4, -0.6)], [(0.2, 1.0)]]
+    since = make_filter(FilterConfig(kind=kind, prior_sigma_m=1e-5, prior_sigma_rad=1e-6))
+    for increments in drives:
+        drive(since, increments)
+    cloned = make_filter(FilterConfig(kind=kind))
+    drive(cloned, [(2.0, 0.8), (1.0, -0.5)], 0.1, 0.1)  # before: it does not matter how uncertain the past pose is
+    cloned.augment(*marks_seen(np.zeros(3), TINY), MARKS)
+    for increments in drives:
+        drive(cloned, increments)
+    poses, covs = poses_since(cloned, MARKS[None])
+    expected = since.belief()
+    assert np.allclose(poses[0], expected.T_map_robot, atol=1e-9)
+    assert np.allclose(covs[0], expected.pose_cov, atol=2e-6)
+
+
+def test_the_covariance_of_marks_is_that_of_the_pose():
+    J = make.slopes(lambda T: marks_seen(T, TINY)[0].ravel(), POSE)
+    expected = J @ SPREAD @ J.T
+    assert np.allclose(marks_seen(POSE, SPREAD)[1] - marks_seen(POSE, TINY)[1], expected, rtol=1e-5, atol=1e-8)
+
+
+def test_the_inverse_motion_has_its_covariance():
+    J = make.slopes(inverse, POSE)
+    T_now_past, cov = seen_from(POSE, SPREAD)
+    assert np.allclose(compose(T_now_past, POSE), 0.0, atol=1e-12)
+    assert np.allclose(cov, J @ SPREAD @ J.T, atol=1e-8)
+
+
+def test_poses_since_have_the_covariance_of_pose_and_marks():
+    """Two past poses, whose marks are seen from afar and a little bent."""
+    rng = np.random.default_rng(0)
+    mean = np.array([1.0, 2.0, 0.4, 11.0, -1.0, -8.0, 3.0, 4.0, 12.0, 2.0, -7.5])
+    root = rng.normal(size=(11, 30))
+    cov = 1e-3 * root @ root.T
+    poses, covs = poses_of_marks(mean, cov)
+    for k in range(2):
+        J = make.slopes(lambda x, k=k: poses_of_marks(x, cov)[0][k], mean)
+        assert np.allclose(covs[k], J @ cov @ J.T, rtol=1e-5, atol=1e-7)
+        middle, axis = 0.5 * (mean[3 + 4 * k : 5 + 4 * k] + mean[5 + 4 * k : 7 + 4 * k]), mean[3 + 4 * k : 5 + 4 * k]
+        axis = axis - middle
+        past = np.array([*middle, math.atan2(axis[1], axis[0])])
+        assert np.allclose(compose(past, poses[k]), mean[:3])

@@ -1,14 +1,15 @@
-"""Door and room logic on scripted walks."""
+"""Door and room logic on scripted walks, and the path since a room was entered."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from shapely.geometry import LineString
 
 from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
-from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, record_doorways, rename_jambs
-from mecp_env.slam.rooms.room_graph import RoomGraphEstimator, Trail
+from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, rename_jambs
+from mecp_env.slam.rooms.room_graph import RoomGraphEstimator, Trail, last_crossing
 from tests.slam import make
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
@@ -18,6 +19,8 @@ OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (
 
 LIMITS = RoomLimits.of(SlamConfig())
 THIN_WALLS = RoomLimits.of(SlamConfig(corners=CornerConfig(wall_thickness_m=0.4)))
+MOST = LIMITS.trail_places
+GAP = np.array([[0.45, 0.0], [-0.45, 0.0]])
 
 
 def belief_at(x, y, heading=0.0):
@@ -52,6 +55,19 @@ def keeper_with_door():
     return keeper
 
 
+def seen_twice(keeper, table=None, ids=(7, 8, 9), **known):
+    """Landmarks of the upper room are seen from two places there."""
+    for x in (0.0, 0.8):
+        look(keeper, belief_at(x, 1.0), ids, table=table, **known)
+
+
+def in_upper_room(table=None):
+    """A keeper that knows the door and has passed it."""
+    keeper = keeper_with_door()
+    walk(keeper, (-0.5, 0.0, 0.5), table=table)
+    return keeper
+
+
 def walk(keeper, ys, x=0.0, table=None):
     rooms = []
     for y in ys:
@@ -74,18 +90,11 @@ def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
     keeper = RoomGraphEstimator(LIMITS)
     for _ in range(2):
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
-    look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
+    for _ in range(10):  # from afar it stays a candidate
+        look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
     assert [candidate.confirmable for candidate in keeper.door_map.candidates] == [2]
     look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
     assert [(door.jambs, door.sightings) for door in keeper.door_map.doors] == [((2, 3), 3)]
-
-
-def test_a_gap_seen_from_afar_stays_a_candidate():
-    keeper = RoomGraphEstimator(LIMITS)
-    for _ in range(10):
-        look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
-    assert not keeper.door_map.doors
-    assert len(keeper.door_map.candidates) == 1
 
 
 def test_crossing_the_door_opens_a_room_and_coming_back_is_the_old_one():
@@ -99,6 +108,7 @@ def test_oscillation_on_the_threshold_changes_nothing():
     keeper = keeper_with_door()
     assert set(walk(keeper, (-0.2, 0.2) * 10)) == {0}
     assert keeper.in_doorway
+    assert set(walk(keeper_with_door(), (-0.5, 0.0, 0.5), x=2.0)) == {0}  # past the wall beside the door
 
 
 def test_the_same_door_from_both_sides_is_one_door():
@@ -119,11 +129,6 @@ def test_a_known_room_entered_through_a_door_seen_from_its_far_side_is_not_a_new
         look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
     assert walk(keeper, (0.5, 0.0, -0.5)) == [7, 7, 0]
     assert keeper.graph().rooms == (0, 7)
-
-
-def test_passing_the_wall_beside_the_door_is_no_crossing():
-    keeper = keeper_with_door()
-    assert set(walk(keeper, (-0.5, 0.0, 0.5), x=2.0)) == {0}
 
 
 def test_what_is_seen_through_a_door_is_marked_and_no_site():
@@ -209,8 +214,7 @@ def test_a_door_passed_and_passed_again_parts_nothing():
 
 
 def test_a_door_first_seen_through_another_is_given_to_the_room_that_it_is_seen_from():
-    keeper = keeper_with_door()
-    walk(keeper, (-0.5, 0.0, 0.5))
+    keeper = in_upper_room()
     beyond = make.door(1, (7, 8))  # a door of the upper room, seen through the first one
     keeper.door_map.set_doors([*keeper.door_map.doors, beyond])
     look(keeper, belief_at(0.0, 1.0), (7, 8), ((0, 1),), confirmable=False)
@@ -220,20 +224,10 @@ def test_a_door_first_seen_through_another_is_given_to_the_room_that_it_is_seen_
 
 
 def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_recognised():
-    keeper = keeper_with_door()
-    walk(keeper, (-0.5, 0.0, 0.5))
-    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), polygon_room=0)
-    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), polygon_room=0)
+    keeper = in_upper_room()
+    seen_twice(keeper, polygon_room=0)
     assert keeper.current == 0
-    assert keeper.graph().doors == ()
-
-
-def test_a_gap_found_to_lie_inside_a_room_is_not_taken_for_a_door_again():
-    keeper = keeper_with_door()
-    walk(keeper, (-0.5, 0.0, 0.5))
-    for x in (0.0, 0.8):
-        look(keeper, belief_at(x, 1.0), (7, 8, 9), polygon_room=0)
-    for _ in range(5):
+    for _ in range(5):  # nor is it taken for one again
         look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
         look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
     assert keeper.graph().doors == ()
@@ -241,21 +235,17 @@ def test_a_gap_found_to_lie_inside_a_room_is_not_taken_for_a_door_again():
 
 
 def test_landmarks_first_seen_through_an_unknown_door_move_to_the_room_they_are_in():
-    keeper, table = keeper_with_door(), features()
-    walk(keeper, (-0.5, 0.0, 0.5))
-    look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
-    look(keeper, belief_at(0.8, 1.0), (7, 8, 9), table=table)
+    keeper, table = in_upper_room(), features()
+    seen_twice(keeper, table)
     assert keeper.current == 1
-    assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
-    assert table.rows["room"][[4, 5, 6]].tolist() == [0, 0, 0]
+    assert table.rows["room"][4:].tolist() == [0, 0, 0, 1, 1, 1]
     assert len(keeper.graph().doors) == 1
 
 
 @pytest.mark.parametrize(("rooms", "then"), [([1, 1, 1, 5], [1, 1, 1, 1]), ([1, 1, 5, 5], [1, 1, 5, 5])])
 def test_landmarks_first_seen_through_two_doors_do_not_keep_the_room_behind_the_first(rooms, then):
     """Bug: such a corner kept the polygons of its room out of the map, and with them 3 % of the floor of `paper`."""
-    keeper, table, ids = keeper_with_door(), features(), (2, 7, 8, 9)
-    walk(keeper, (-0.5, 0.0, 0.5))
+    keeper, table, ids = in_upper_room(), features(), (2, 7, 8, 9)
     table.rows["room"][list(ids)] = rooms
     look(keeper, belief_at(0.0, 1.0), ids, table=table)
     assert table.rows["room"][list(ids)].tolist() == then
@@ -267,30 +257,20 @@ def to_and_fro(keeper, table, rounds):
     """Landmarks 7, 8 and 9 are seen from above the gap and, past it, from below; they are moved each time."""
     for _ in range(rounds):
         look(keeper, belief_at(0.0, 1.0), (7, 8, 9), table=table)
-        for y in (0.5, 0.0, -0.5):
-            look(keeper, belief_at(0.0, y), (), table=table)
+        walk(keeper, (0.5, 0.0, -0.5), table=table)
         look(keeper, belief_at(-3.0, -1.0), (7, 8, 9), table=table)  # not through the gap
-        for y in (-0.5, 0.0, 0.5):
-            look(keeper, belief_at(0.0, y), (), table=table)
+        walk(keeper, (-0.5, 0.0, 0.5), table=table)
 
 
-def test_rooms_are_one_when_landmarks_are_seen_from_both_sides_of_a_gap_and_not_through_it():
-    keeper, table = keeper_with_door(), features()
-    walk(keeper, (-0.5, 0.0, 0.5))
-    to_and_fro(keeper, table, 1)
-    assert keeper.graph().rooms == (0,)
-    assert keeper.graph().doors == ()
-    assert table.rows["room"][7:].tolist() == [0, 0, 0]
-
-
-def test_a_door_with_two_faces_parts_rooms_whatever_is_seen_from_both_sides():
-    keeper, table = keeper_with_door(), features()
-    walk(keeper, (-0.5, 0.0, 0.5))
-    for _ in range(3):
+@pytest.mark.parametrize("two_faces", [False, True])
+def test_rooms_are_one_when_landmarks_are_seen_from_both_sides_of_a_gap_that_is_no_door_with_two_faces(two_faces):
+    keeper, table = in_upper_room(), features()
+    for _ in range(3 * two_faces):
         look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
-    to_and_fro(keeper, table, 3)
-    assert keeper.graph().rooms == (0, 1)
-    assert len(keeper.graph().doors) == 1
+    to_and_fro(keeper, table, 3 if two_faces else 1)
+    assert keeper.graph().rooms == ((0, 1) if two_faces else (0,))
+    assert len(keeper.graph().doors) == two_faces
+    assert two_faces or table.rows["room"][7:].tolist() == [0, 0, 0]
 
 
 def test_an_old_room_recognised_is_entered_and_merged_only_where_the_room_left_has_no_corners_of_its_own():
@@ -354,16 +334,6 @@ def test_fused_jambs_keep_the_door():
     assert book.sightings == {(9, 1): 4}
 
 
-def test_a_candidate_goes_when_its_door_is_confirmed():
-    book = DoorMap()
-    belief = belief_at(0.0, -1.5)
-    corners, match = sighting(belief, (0, 1), ((0, 1),))
-    for step in range(4):
-        record_doorways(book, make.sighting(corners, match, belief, step), features(), 0, LIMITS)
-    assert len(book.doors) == 1
-    assert not book.candidates
-
-
 def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
     keeper = RoomGraphEstimator(LIMITS)
     look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
@@ -396,3 +366,44 @@ def test_a_room_behind_a_gap_that_was_driven_through_is_not_the_one_its_corners_
     assert keeper.current == 1
     assert keeper.graph().rooms == (0, 1)
     assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
+
+
+@pytest.mark.parametrize(
+    ("ys", "x", "crossing"),
+    [
+        ((-1.0, -0.5, 0.5, 1.0), 0.0, 2),  # the first place behind the gap
+        ((1.0, 0.5, -0.5), 0.0, 2),
+        ((-1.0, 1.0, -1.0), 0.0, -1),  # there and back
+        ((-1.0, 1.0, -1.0, 1.0), 0.0, 3),  # and there again
+        ((-1.0, 1.0), 0.5, -1),  # beside the gap
+        ((), 0.0, -1),
+    ],
+)
+def test_the_last_crossing_of_a_gap(ys, x, crossing):
+    assert last_crossing(np.array([(x, y) for y in ys]).reshape(-1, 2), GAP) == crossing
+
+
+def test_one_step_against_shapely():
+    rng = np.random.default_rng(4)
+    for _ in range(500):
+        step, gap = rng.uniform(-2, 2, (2, 2)), rng.uniform(-2, 2, (2, 2))
+        assert (last_crossing(step, gap) == 1) == LineString(step).crosses(LineString(gap))
+
+
+def test_a_robot_that_stands_leaves_one_place_and_old_places_are_forgotten():
+    trail = Trail()
+    for step in range(20):
+        trail.add(step, 3, np.array([1.0, 2.0, 0.1 * step]), LIMITS)
+    assert len(trail.places) == 2
+    for step in range(20, 20 + 2 * MOST):
+        trail.add(step, 5, np.array([1.0 + 0.2 * (step - 19), 2.0, 0.0]), LIMITS)
+    assert len(trail.places) == MOST + 1
+    assert trail.places[-1, 2:].tolist() == [19 + 2 * MOST, 5]
+
+
+def test_passed_tells_when_and_how_many_features_there_were():
+    trail = Trail()
+    for step, y in enumerate((-1.0, -0.6, -0.2, 0.2, 0.6)):
+        trail.add(step, 10 + step, np.array([0.0, y, 1.6]), LIMITS)
+    assert trail.passed(GAP) == (3, 13)
+    assert trail.passed(GAP + 3.0) is None

@@ -11,9 +11,10 @@ from scipy.optimize import least_squares
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import wrapped
 from mecp_env.slam.smoothing import Links, PoseGraph, Sightings, SmoothingError, smooth
+from tests.slam import make
 from tests.slam.smoothing.make import drive, error_m
 
-SEEDS = range(12)
+SEEDS = range(6)
 
 
 def moved(graph: PoseGraph, numbers: Array) -> PoseGraph:
@@ -37,30 +38,21 @@ def whitened(graph: PoseGraph) -> Array:
     return np.concatenate([*parts, joint @ seen, roots(graph.priors.information).T @ off])
 
 
-def slopes(of: object, numbers: Array, step: float = 1e-6) -> Array:
-    """(r,c) derivatives by central differences."""
-    columns = []
-    for k in range(numbers.size):
-        high, low = (numbers.copy() for _ in range(2))
-        high.flat[k] += step
-        low.flat[k] -= step
-        columns.append((of(high) - of(low)) / (2.0 * step))  # type: ignore[operator]
-    return np.stack(columns, axis=-1)
-
-
 @pytest.mark.parametrize("heading", [0.3, 3.1415, -3.1415])
 def test_derivatives_of_the_factors(heading: float) -> None:
     T = np.array([[0.2, -0.4, heading], [1.1, 0.6, -heading + 0.2]])
     links = Links.of([(0, 1, np.array([0.7, 0.1, 3.1]), np.eye(3))])
     _, by_start, by_end = links.errors(T)
-    numeric = slopes(lambda poses: links.errors(poses)[0][0], T)
+    numeric = make.slopes(lambda poses: links.errors(poses)[0][0], T)
     np.testing.assert_allclose(np.hstack([by_start[0], by_end[0]]), numeric, atol=1e-7)
 
     seen = Sightings.of([(1, np.array([0]), np.array([[1.0, 3.1]]), np.eye(2))])
     p_map = np.array([[-2.0, 1.5]])
     _, by_pose, by_point = seen.errors(T, p_map)
-    np.testing.assert_allclose(by_pose[0], slopes(lambda poses: seen.errors(poses, p_map)[0][0], T)[:, 3:], atol=1e-7)
-    np.testing.assert_allclose(by_point[0], slopes(lambda places: seen.errors(T, places)[0][0], p_map), atol=1e-7)
+    np.testing.assert_allclose(
+        by_pose[0], make.slopes(lambda poses: seen.errors(poses, p_map)[0][0], T)[:, 3:], atol=1e-7
+    )
+    np.testing.assert_allclose(by_point[0], make.slopes(lambda places: seen.errors(T, places)[0][0], p_map), atol=1e-7)
 
 
 def test_errors_of_angles_are_wrapped() -> None:
@@ -87,13 +79,6 @@ def test_the_kernel_leaves_right_factors_alone() -> None:
     robust, plain = smooth(graph, settled=1e-9), smooth(graph, None, settled=1e-9)
     assert robust.odometry_scale < 1.5
     np.testing.assert_allclose(robust.T_map_laser[:, :2], plain.T_map_laser[:, :2], atol=0.01)
-
-
-def test_the_bits_are_the_same_in_every_run() -> None:
-    first, again = (smooth(drive(seed=3).graph) for _ in range(2))
-    np.testing.assert_array_equal(first.T_map_laser, again.T_map_laser)
-    np.testing.assert_array_equal(first.p_map, again.p_map)
-    assert first.steps == again.steps
 
 
 def test_wrong_associations_count_little() -> None:

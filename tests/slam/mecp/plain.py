@@ -1,0 +1,107 @@
+"""Plain twins of the polygon search: all rings by definition, and a recursion for more sites than that can do."""
+
+from __future__ import annotations
+
+import itertools
+import math
+
+import numpy as np
+
+from mecp_env.slam.mecp.cycles import order_by_bearing
+
+PER_VERTEX = 1e6  # of what is as large as possible: more than any area here, so that vertices decide
+
+
+def cross(a, b):
+    return a[0] * b[1] - a[1] * b[0]
+
+
+def twice_area(points, ring):
+    return sum(cross(points[a], points[b]) for a, b in zip(ring, ring[1:] + ring[:1], strict=True))
+
+
+def random_sites(rng, n, tolerance):
+    """Sites around the origin by bearing; with tolerance 0 on a coarse grid, so that rays and lines coincide."""
+    points = rng.uniform(-3, 3, (n, 2)) if tolerance else np.unique(rng.integers(-3, 4, (n, 2)), axis=0) + 0.0
+    points = points[(points != 0).any(axis=1)]
+    return np.ascontiguousarray(points[order_by_bearing(points)])
+
+
+def convex_rings(points):
+    """All strictly convex rings of distinct points: a subset is one if each vertex has all others left of one edge."""
+    left = {}
+    for a, b in itertools.permutations(range(len(points)), 2):
+        turns = [cross(points[b] - points[a], p - points[a]) for p in points]
+        left[a, b] = {c for c, turn in enumerate(turns) if turn > 0}
+    for size in range(3, len(points) + 1):
+        for subset in itertools.combinations(range(len(points)), size):
+            after = {a: b for a, b in itertools.permutations(subset, 2) if {*subset} - {a, b} <= left[a, b]}
+            if len(after) == size:
+                ring = [subset[0]]
+                while len(ring) < size:
+                    ring.append(after[ring[-1]])
+                yield tuple(ring)
+
+
+def blocks(s, a, b, tolerance):
+    """Whether site s lies in the closed sector from a to b, more than `tolerance` left of the edge."""
+    depth = cross(b - a, s - a) / np.hypot(*(b - a))
+    return cross(a, s) >= 0 and cross(s, b) >= 0 and depth > tolerance
+
+
+def plain_visible_edges(points, tolerance):
+    n = len(points)
+    allowed = np.zeros((n, n), bool)
+    for i, j in itertools.permutations(range(n), 2):
+        others = [points[k] for k in range(n) if k not in (i, j)]
+        spans = cross(points[i], points[j]) > 0
+        allowed[i, j] = spans and not any(blocks(s, points[i], points[j], tolerance) for s in others)
+    return allowed
+
+
+def is_strict(points, a, b, c, tolerance):
+    """True when b is a vertex between a and c."""
+    turn = cross(points[b] - points[a], points[c] - points[b])
+    return turn > 0 and turn > tolerance * math.hypot(*(points[c] - points[a]))
+
+
+def allowed_rings(points, tolerance):
+    """All polygons around the origin, by definition."""
+    allowed = plain_visible_edges(points, tolerance)
+    for ring in convex_rings(points):
+        before, after = ring[-1:] + ring[:-1], ring[1:] + ring[:1]
+        if all(allowed[a, b] for a, b in zip(ring, after, strict=True)) and all(
+            is_strict(points, *corner, tolerance) for corner in zip(before, ring, after, strict=True)
+        ):
+            yield ring
+
+
+def twin(points, allowed, tolerance, per_vertex):
+    """The most of twice the area and `per_vertex`, by the recursion over pairs: for each first edge, across any ray."""
+    n, best = len(points), 0.0
+    worth = per_vertex + np.array([[cross(a, b) for b in points] for a in points])
+    for head, second in np.argwhere(allowed):
+        order = sorted(range(n), key=lambda k: angle_from(points[head], points[k]))
+        place = {k: i for i, k in enumerate(order)}
+        most = {(head, second): worth[head, second]}
+        for b in order[place[second] :]:
+            into = [(a, area) for (a, to), area in most.items() if to == b]
+            for a, area in into:
+                closes = allowed[b, head] and is_strict(points, a, b, head, tolerance)
+                if closes and is_strict(points, b, head, second, tolerance):
+                    best = max(best, area + worth[b, head])
+                for c in order[place[b] + 1 :]:
+                    if allowed[b, c] and is_strict(points, a, b, c, tolerance):
+                        most[b, c] = max(most.get((b, c), 0.0), area + worth[b, c])
+    return best
+
+
+def angle_from(a, b):
+    """Bearing of b about the origin, from that of a, in [0, 2 pi)."""
+    return math.atan2(cross(a, b), a[0] * b[0] + a[1] * b[1]) % (2 * math.pi)
+
+
+def worth_of(points, found, per_vertex):
+    """What `twin` finds the most of, of the first of the cycles found."""
+    ring = tuple(found[1][0][: found[0][0]])
+    return per_vertex * len(ring) + twice_area(points, ring) if ring else 0.0
