@@ -1,4 +1,4 @@
-"""2,000 mutated logs of all formats: each is read with what is left of it counted, or refused with a `LogError`."""
+"""1,200 mutated logs of all formats: each is read with what is left of it counted, or refused with a `LogError`."""
 
 from __future__ import annotations
 
@@ -19,6 +19,9 @@ from tests.logs.files import CARMEN, write_archive, write_bag, write_carmen
 MOST_S, MOST_MIB = 5.0, 400  # of one file; of all files of a test beside what was in use before
 EVERY = 25  # so many logs that could be read, one is also given to the estimator
 NUMBERS = (b"nan", b"-inf", b"1e308", b"-1", b"0", b"999999999999", b"3.7", b"x")
+
+
+Ways = tuple[Callable[[bytes, random.Random], bytes], ...]
 
 
 def truncated(data: bytes, rng: random.Random) -> bytes:
@@ -82,14 +85,13 @@ def check(path: Path, tried: list[str]) -> None:
     assert time.process_time() - start < MOST_S
 
 
-def fuzz(
-    source: Path, target: Path, count: int, ways: tuple[Callable[[bytes, random.Random], bytes], ...]
-) -> list[str]:
+def fuzz(source: Path, target: Path, count: int, ways: Ways, read: Path | None = None) -> list[str]:
+    """What became of mutated files, or of folders to `read` in which one file is mutated."""
     rng, data, before = random.Random(count), source.read_bytes(), peak_mib()
     tried: list[str] = []
     for _ in range(count):
         target.write_bytes(rng.choice(ways)(data, rng))
-        check(target, tried)
+        check(read or target, tried)
     assert peak_mib() - before < MOST_MIB
     return tried
 
@@ -98,28 +100,36 @@ def peak_mib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
 
 
+@pytest.fixture(scope="module", autouse=True)
+def compiled(tmp_path_factory: pytest.TempPathFactory) -> None:
+    """The estimator is compiled before seconds count."""
+    run_log(read_log(write_archive(tmp_path_factory.mktemp("sound") / "a.npz")))
+
+
 @pytest.mark.parametrize("line", CARMEN)
 def test_carmen(tmp_path: Path, line: str) -> None:
-    tried = fuzz(write_carmen(tmp_path / "a.log", CARMEN[line]), tmp_path / "b.log", 250, TEXT)
-    assert tried.count("counted") > 100
+    tried = fuzz(write_carmen(tmp_path / "a.log", CARMEN[line]), tmp_path / "b.log", 120, TEXT)
+    assert tried.count("counted") > 48
 
 
-def test_archive(tmp_path: Path) -> None:
-    tried = fuzz(write_archive(tmp_path / "a.npz"), tmp_path / "b.npz", 300, BYTES)
-    assert "refused" in tried
+def test_archive_and_folder_of_a_bag(tmp_path: Path) -> None:
+    assert "refused" in fuzz(write_archive(tmp_path / "a.npz"), tmp_path / "b.npz", 150, BYTES)
+    pytest.importorskip("rosbags")
+    folder = write_bag(tmp_path / "a")
+    assert "refused" in fuzz(folder / "metadata.yaml", folder / "metadata.yaml", 50, TEXT, folder)
 
 
 def test_arrays_with_other_numbers(tmp_path: Path) -> None:
     rng, tried = np.random.default_rng(0), list[str]()
     arrays = dict(np.load(write_archive(tmp_path / "a.npz")))
-    for _ in range(200):
+    for _ in range(120):
         name = str(rng.choice(list(arrays)))
         changed = arrays[name].copy()
         where = rng.random(changed.shape) < rng.choice([0.02, 0.3, 1.0])
         changed[where] = rng.choice([np.nan, np.inf, -1.0, 1e300, 0.0, 5.0])
         np.savez(tmp_path / "b.npz", **(arrays | {name: changed}))
         check(tmp_path / "b.npz", tried)
-    assert tried.count("counted") > 100
+    assert tried.count("counted") > 60
 
 
 @pytest.mark.slow
@@ -128,14 +138,3 @@ def test_bag(tmp_path: Path, suffix: str) -> None:
     pytest.importorskip("rosbags")
     tried = fuzz(write_bag(tmp_path / f"a{suffix}"), tmp_path / f"b{suffix}", 140, BYTES)
     assert {"refused", "counted"} & set(tried)
-
-
-def test_folder_of_a_bag(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    folder, rng, tried = write_bag(tmp_path / "a"), random.Random(1), list[str]()
-    sheet = folder / "metadata.yaml"
-    data = sheet.read_bytes()
-    for _ in range(80):
-        sheet.write_bytes(rng.choice(TEXT)(data, rng))
-        check(folder, tried)
-    assert "refused" in tried
