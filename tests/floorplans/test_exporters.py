@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -63,28 +64,22 @@ def test_a_believed_map_can_be_read_as_a_plan(tmp_path: Path) -> None:
     assert (*door.centre, door.width_m) == pytest.approx((0.6, 4.45, 0.9), abs=0.06)
 
 
-@pytest.mark.parametrize("name", ["paper", "belief"])
-def test_drawings_are_well_formed(name: str, tmp_path: Path) -> None:
-    given = believed() if name == "belief" else load_layout(name)
-    path = save_svg(given, tmp_path / "plan.svg")
+def drawn(given: Any, folder: Path) -> tuple[ET.Element, list[str | None]]:
+    """A drawing, which is well formed and not large, and its titles."""
+    path = save_svg(given, folder / "plan.svg")
     root = ET.parse(path).getroot()
     assert root.tag.endswith("svg")
-    assert len(list(root.iter())) > 20
     assert path.stat().st_size < 200_000
+    return root, [title.text for title in root.iter("{http://www.w3.org/2000/svg}title")]
 
 
-def test_the_drawing_of_a_layout_names_rooms_and_doors(tmp_path: Path) -> None:
-    layout = load_layout("two_rooms").model_copy(update={"name": "<b>"})
-    root = ET.parse(save_svg(layout, tmp_path / "plan.svg")).getroot()
-    titles = [title.text for title in root.iter("{http://www.w3.org/2000/svg}title")]
-    assert titles == ["west", "east", "door of west and east"]
-
-
-def test_names_with_control_characters_leave_a_drawing_well_formed(tmp_path: Path) -> None:
-    fields = json.loads(load_layout("two_rooms").to_json().replace("west", "w\\u0007\\u001b]0;a\\u0007"))
-    root = ET.parse(save_svg(load_layout(fields), tmp_path / "plan.svg")).getroot()
-    titles = [title.text for title in root.iter("{http://www.w3.org/2000/svg}title")]
-    assert titles == ["w??]0;a?", "east", "door of w??]0;a? and east"]
+def test_drawings_are_well_formed_and_name_rooms_and_doors(tmp_path: Path) -> None:
+    for given in (believed(), load_layout("paper")):
+        assert len(list(drawn(given, tmp_path)[0].iter())) > 20
+    named = load_layout("two_rooms").model_copy(update={"name": "<b>"})
+    assert drawn(named, tmp_path)[1] == ["west", "east", "door of west and east"]
+    controls = json.loads(load_layout("two_rooms").to_json().replace("west", "w\\u0007\\u001b]0;a\\u0007"))
+    assert drawn(load_layout(controls), tmp_path)[1] == ["w??]0;a?", "east", "door of w??]0;a? and east"]
 
 
 @pytest.mark.parametrize("stem", ["a: b", "x #1", "[map]", 'a"b', "部屋", "-"])
