@@ -18,17 +18,23 @@ def curve() -> CoverageCurve:
     return made
 
 
-def test_only_what_is_more_is_kept(curve: CoverageCurve) -> None:
-    assert curve.metres == [0, 2, 6]
-    assert curve.steps == [0, 5, 20]
-
-
 def test_the_area_under_the_curve_by_hand(curve: CoverageCurve) -> None:
+    assert (curve.metres, curve.steps) == ([0, 2, 6], [0, 5, 20])  # only what is more is kept
     assert curve.area_under(10.0) == pytest.approx((2 * 0.2 + 4 * 0.5 + 4 * 0.9) / 10.0)
-
-
-def test_the_area_over_steps_by_hand(curve: CoverageCurve) -> None:
+    assert curve.area_under(4.0) == pytest.approx((2 * 0.2 + 2 * 0.5) / 4.0)
+    assert curve.area_under(2.0) == pytest.approx(0.2)
+    assert curve.area_under(1000.0) == pytest.approx(0.9, abs=0.005)
     assert curve.area_under_steps(40) == pytest.approx((5 * 0.2 + 15 * 0.5 + 20 * 0.9) / 40)
+    assert curve.at(np.array([0.0, 1.99, 2.0, 6.0, 500.0])).tolist() == [0.2, 0.2, 0.5, 0.9, 0.9]
+    assert budget_m(150.0) == 75.0
+
+
+def test_a_level_never_reached_or_beyond_the_limit_counts_as_the_limit(curve: CoverageCurve) -> None:
+    assert curve.metres_to(0.9, 30.0) == 6.0
+    assert curve.steps_to(0.5, 100.0) == 5.0
+    assert curve.metres_to(0.99, 30.0) == 30.0
+    assert curve.steps_to(0.99, 100.0) == 100.0
+    assert curve.metres_to(0.9, 5.0) == 5.0
 
 
 def test_a_coverage_that_may_fall_keeps_each_change() -> None:
@@ -39,39 +45,9 @@ def test_a_coverage_that_may_fall_keeps_each_change() -> None:
     assert made.area_under_steps(20) == pytest.approx((5 * 0.2 + 5 * 0.5 + 10 * 0.1) / 20)
 
 
-def test_metres_beyond_the_budget_do_not_count(curve: CoverageCurve) -> None:
-    assert curve.area_under(4.0) == pytest.approx((2 * 0.2 + 2 * 0.5) / 4.0)
-    assert curve.area_under(2.0) == pytest.approx(0.2)
-
-
-def test_after_the_end_the_coverage_stays(curve: CoverageCurve) -> None:
-    assert curve.area_under(1000.0) == pytest.approx(0.9, abs=0.005)
-    assert curve.at(np.array([0.0, 1.99, 2.0, 6.0, 500.0])).tolist() == [0.2, 0.2, 0.5, 0.9, 0.9]
-
-
-def test_the_area_is_that_under_the_steps_that_are_drawn(curve: CoverageCurve) -> None:
-    metres = (np.arange(10_000) + 0.5) * 1e-3
-    assert curve.at(metres).mean() == pytest.approx(curve.area_under(10.0), abs=1e-3)
-
-
-def test_a_level_never_reached_counts_as_the_limit(curve: CoverageCurve) -> None:
-    assert curve.metres_to(0.9, 30.0) == 6.0
-    assert curve.steps_to(0.5, 100.0) == 5.0
-    assert curve.metres_to(0.99, 30.0) == 30.0
-    assert curve.steps_to(0.99, 100.0) == 100.0
-
-
-def test_a_level_reached_beyond_the_limit_counts_as_the_limit_too(curve: CoverageCurve) -> None:
-    assert curve.metres_to(0.9, 5.0) == 5.0
-
-
 def test_turning_on_the_spot_costs_no_metres() -> None:
     curve = CoverageCurve()
     for step in range(3):
         curve.add(0.0, step, 0.1 * (step + 1))
     curve.add(1.0, 3, 0.8)
     assert curve.area_under(2.0) == pytest.approx((0.3 + 0.8) / 2)
-
-
-def test_the_budget_follows_from_the_building_alone() -> None:
-    assert budget_m(150.0) == 75.0
