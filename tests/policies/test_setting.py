@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.policies.evaluation import Evaluation
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.gain import Gain
+from mecp_env.policies.recording import Recording
 from mecp_env.policies.rollout import EpisodeTask, make_rooms, run_episode
 from mecp_env.policies.setting import Setting, checksum_of, plan_fields, plan_names, words_of
 from mecp_env.world.layout import LIBRARY
@@ -220,3 +222,44 @@ def test_wrong_input_is_refused_before_anything_is_written(
     message = " ".join(capsys.readouterr().err.split())
     assert re.search(said, message), message
     assert not list(tmp_path.iterdir())
+
+
+class FlatDriver:
+    """Drives ahead; it takes nothing but flat observations."""
+
+    actions, settings = "discrete", MappingProxyType({"observation": "flat"})
+
+    def reset(self, seed: int = 0) -> None:
+        """Nothing to do."""
+
+    def act(self, observation: Any, mask: Any = None) -> int:
+        """Ahead."""
+        assert observation.ndim == 1
+        return 1
+
+
+class MapReader(FlatDriver):
+    """The same with the tables and the coarse map."""
+
+    settings = MappingProxyType({"observation": {"map": True}})
+
+    def act(self, observation: Any, mask: Any = None) -> int:
+        """Ahead."""
+        return int(observation["map"].shape == (8, 64, 64))
+
+
+@pytest.mark.parametrize("policy", [FlatDriver(), MapReader()])
+@pytest.mark.parametrize("observation", ["dict", "flat"])
+def test_a_recorded_policy_sees_the_format_that_it_needs_whatever_is_recorded(policy: Any, observation: str) -> None:
+    setting = Setting("easy", "validation", "slam", 3)
+    rows = next(iter(Recording(policy, setting, observation).episodes(0, 1)))
+    assert rows.actions == [1, 1, 1]
+    assert isinstance(rows.observations[0], dict) == (observation == "dict")
+
+
+def test_the_format_does_not_change_where_a_policy_drives() -> None:
+    """The number of a goal may differ, as the rows of a format are in an order of its own."""
+    setting = Setting("easy", "validation", "slam", 40)
+    formats = (next(iter(Recording(Gain(), setting, name).episodes(0, 1))) for name in ("flat", "dict", "image"))
+    flat, tables, image = ([(info["metres"], info["coverage"]) for info in rows.infos] for rows in formats)
+    assert flat == tables == image
