@@ -223,13 +223,6 @@ def test_where_a_ring_begins_makes_no_corner() -> None:
         assert area.bounds == pytest.approx((0.0, 0.0, 5.0, 3.0), abs=0.03)
 
 
-def test_json_of_a_plan_is_without_loss(tmp_path: Path) -> None:
-    path = tmp_path / "plan.json"
-    for layout in (load_plan(house_file(tmp_path)), load_layout("paper")):
-        path.write_text(layout.to_json())
-        assert load_plan(path) == load_layout(path) == layout
-
-
 @plans.needs_real
 @pytest.mark.parametrize("name", REAL_PLANS)
 def test_real_plans_are_read_as_a_person_would(name: str) -> None:

@@ -131,17 +131,13 @@ def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
     assert "nothing" in capsys.readouterr().err
 
 
-def test_a_policy_explores_a_building_and_says_what_came_of_it(folder, capsys):
-    assert explore(folder) == 0
-    assert "coverage" in capsys.readouterr().out
-
-
-def test_the_policy_that_comes_with_the_repository_loads_and_is_small():
+def test_the_policy_that_comes_with_the_repository_is_small_and_explores(capsys):
     assert "maskable_ppo" in shipped()
     (found,) = (WEIGHTS / "maskable_ppo").glob("policy-*.safetensors")
     assert found.stat().st_size < 1.9e6
     assert load("maskable_ppo").actions == "goal"
     assert explore("maskable_ppo") == 0
+    assert "coverage" in capsys.readouterr().out
 
 
 class Payload:
