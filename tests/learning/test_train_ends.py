@@ -82,6 +82,7 @@ def test_lessons_come_in_order_and_an_episode_of_the_teacher_that_fails_is_named
         monkeypatch.setattr(warm_start, "run_units", lambda *_: (yield from results))
         return list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
 
+    assert warm_start.discounted_returns([(0, 1.0, 0.5), (0, 2.0, 0.9)]).tolist() == [2.0, 2.0]
     assert lessons((1, "b"), (0, "a"), (3, "d"), (2, "c"), (5, "f")) == [*"abcd"]
     died = WorkerDied("its process was killed by SIGKILL")
     with pytest.raises(WorkerDied, match="warm start, episode 3: its process was killed by SIGKILL"):

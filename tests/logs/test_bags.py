@@ -66,6 +66,14 @@ def test_without_odometry_or_mount_what_is_there_is_listed(tmp_path: Path) -> No
     assert any("'laser' in 'base_footprint'; frames: odom -> base_footprint" in note for note in notes)
 
 
+def test_the_mount_is_in_the_frame_that_the_odometry_names(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path / "a.bag", frames="")
+    bag.frames(("base_footprint", "base_link", np.array([0.2, 0.0, 0.0])), ("base_link", "laser", MOUNT))
+    for message in bag.of("/odom"):
+        message.child_frame_id = "base_footprint"
+    np.testing.assert_allclose(read_log(bag.close()).T_robot_laser, MOUNT + np.array([0.2, 0.0, 0.0]), atol=1e-5)
+
+
 def two_lasers(path: Path, topics: tuple[str, str], frames: bool = True, late: float = 0.0) -> Path:
     bag = BagWriter(path)
     for stamp, pose in zip(*drive()[:2], strict=True):
