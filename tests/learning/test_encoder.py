@@ -18,7 +18,7 @@ from mecp_env.learning.encoder import (  # noqa: E402
 )
 from mecp_env.policies.explorers import Nearest  # noqa: E402
 from mecp_env.policies.gain import NextBestView  # noqa: E402
-from tests.learning.training import quick  # noqa: E402
+from tests.learning.training import batch, logits, quick, shaken  # noqa: E402
 
 
 @pytest.fixture(scope="module")
@@ -28,25 +28,6 @@ def seen():
     found = [env.reset(seed=1, options={"building": 3})[0]]
     found += [env.step(0)[0] for _ in range(8)]
     return [observation for observation in found if observation["goals"][:, 8].sum() > 1]
-
-
-def batch(observation, goals=True):
-    return {name: torch.as_tensor(values[None]) for name, values in downsample(observation, goals).items()}
-
-
-def scores(policy, observation):
-    with torch.no_grad():
-        return policy.get_distribution(batch(observation)).distribution.logits[0]
-
-
-def shaken(algorithm="maskable_ppo"):
-    """A policy in which every input has an influence."""
-    torch.manual_seed(0)
-    policy = make_network(quick(algorithm))
-    with torch.no_grad():
-        for parameter in policy.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    return policy
 
 
 def test_downsampled_observations_are_in_their_space_and_means_of_the_grid(seen):
@@ -61,29 +42,24 @@ def test_downsampled_observations_are_in_their_space_and_means_of_the_grid(seen)
         assert np.array_equal(made["near"], observation["grid"][:, 32:64, 32:64])
 
 
-def test_the_order_of_goals_permutes_their_scores_and_nothing_else(seen):
-    policy = shaken()
+def test_the_order_of_goals_permutes_their_scores_and_that_of_landmarks_changes_nothing(seen):
+    policy = shaken(quick())
     for observation in seen:
         order = np.random.default_rng(0).permutation(32)
         other = observation | {"goals": observation["goals"][order]}
         valid = other["goals"][:, 8] > 0.5
-        before, after = scores(policy, observation)[order], scores(policy, other)
+        before, after = logits(policy, observation)[order], logits(policy, other)
         assert torch.allclose(before[valid] - before[valid][0], after[valid] - after[valid][0], atol=1e-4)
         with torch.no_grad():
             mine, theirs = (policy.predict_values(batch(given)) for given in (observation, other))
         assert torch.allclose(mine, theirs, atol=1e-4)
-
-
-def test_the_order_of_landmarks_changes_nothing(seen):
-    policy = shaken()
-    for observation in seen:
         other = observation | {"landmarks": np.random.default_rng(1).permutation(observation["landmarks"])}
-        assert torch.allclose(scores(policy, observation), scores(policy, other), atol=1e-4)
+        assert torch.allclose(logits(policy, observation), logits(policy, other), atol=1e-4)
 
 
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
 def test_rows_that_hold_nothing_have_no_influence(algorithm, seen):
-    policy = shaken(algorithm)
+    policy = shaken(quick(algorithm))
     rng = np.random.default_rng(2)
     for observation in seen:
         goals, landmarks = observation["goals"].copy(), observation["landmarks"].copy()
@@ -138,7 +114,7 @@ def test_all_inputs_of_the_network_are_of_size_one(seen):
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo"])
 def test_a_batch_gives_each_observation_the_features_that_it_has_alone(algorithm, seen):
     """Rows that are empty in all observations of a batch are left out; their number differs here."""
-    encoder, goals = shaken(algorithm).features_extractor, algorithm == "maskable_ppo"
+    encoder, goals = shaken(quick(algorithm)).features_extractor, algorithm == "maskable_ppo"
     rows = [{name: part.float() for name, part in batch(each, goals).items()} for each in seen]
     rows = [row | {name: row[name] / 255.0 for name in ("coarse", "near")} for row in rows]
     rows.append({name: torch.zeros_like(part) for name, part in rows[0].items()})

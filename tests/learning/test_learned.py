@@ -43,6 +43,18 @@ def weights(folder):
     return next(folder.glob("policy-*.safetensors"))
 
 
+def put(folder, data=b"", **fields):
+    """Other weights with a checksum that belongs to them; other fields of `policy.json`."""
+    weights(folder).write_bytes(data)
+    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": files.checksum(data)}
+    write_json(folder / "policy.json", about | fields)
+
+
+def refused(folder, said):
+    with pytest.raises(WeightError, match=said):
+        load(folder)
+
+
 def test_weights_survive_the_way_through_a_file(folder):
     torch.manual_seed(1)
     policy = make_network(quick())
@@ -52,33 +64,29 @@ def test_weights_survive_the_way_through_a_file(folder):
     assert len(list(folder.glob("policy-*.safetensors"))) == 1
 
 
-def test_a_damaged_file_is_refused(folder):
+def test_a_file_that_is_damaged_or_too_large_is_refused_before_it_is_read(folder, monkeypatch):
     path = weights(folder)
     data = bytearray(path.read_bytes())
     data[-1] ^= 1
     path.write_bytes(data)
-    with pytest.raises(WeightError, match=r"SHA-256 is .*, expected"):
-        load(folder)
-
-
-def test_a_file_that_is_too_large_is_refused_before_it_is_read(folder, monkeypatch):
+    refused(folder, r"SHA-256 is .*, expected")
     monkeypatch.setattr("mecp_env.learning.learned.MOST_BYTES", 100)
-    with pytest.raises(WeightError, match="at most 100"):
-        load(folder)
+    refused(folder, "at most 100")
 
 
-@pytest.mark.parametrize("change", [{"width": 32}, {"attention": False}, {"grid_channels": 8}])
-def test_weights_of_another_architecture_are_refused(change, folder):
-    config = quick(network={"width": 16, "grid_channels": 4, "lstm": 8} | change)
+@pytest.mark.parametrize(
+    ("algorithm", "network", "said"),
+    [
+        ("maskable_ppo", {"width": 32}, "another architecture"),
+        ("maskable_ppo", {"attention": False}, "another architecture"),
+        ("maskable_ppo", {"grid_channels": 8}, "another architecture"),
+        ("ppo", {}, "maskable_ppo"),
+    ],
+)
+def test_weights_of_another_architecture_or_algorithm_are_refused(algorithm, network, said, folder):
+    config = quick(algorithm, network={"width": 16, "grid_channels": 4, "lstm": 8} | network)
     write_json(folder / "config.json", config.to_dict())
-    with pytest.raises(WeightError, match="another architecture"):
-        load(folder)
-
-
-def test_weights_of_another_algorithm_are_refused(folder):
-    write_json(folder / "config.json", quick("ppo").to_dict())
-    with pytest.raises(WeightError, match="maskable_ppo"):
-        load(folder)
+    refused(folder, said)
 
 
 def test_weights_that_are_not_finite_are_refused(folder):
@@ -87,31 +95,17 @@ def test_weights_that_are_not_finite_are_refused(folder):
         next(policy.parameters()).fill_(float("nan"))
     with pytest.raises(NotFiniteError):
         save_policy(folder, policy, "maskable_ppo", {})
-    data = files.tensor_bytes(files.weights_of(policy))
-    weights(folder).write_bytes(data)
-    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": files.checksum(data)}
-    write_json(folder / "policy.json", about)
-    with pytest.raises(WeightError, match="not finite"):
-        load(folder)
+    put(folder, files.tensor_bytes(files.weights_of(policy)))
+    refused(folder, "not finite")
 
 
-def test_bytes_that_are_no_tensors_are_refused_whatever_their_checksum(folder):
+def test_bytes_that_are_no_tensors_and_files_elsewhere_are_refused(folder):
     for data in (b"", b"\x00" * 7, struct.pack("<Q", 2**60), b"PK\x03\x04" + bytes(100), pickle.dumps({"a": 1})):
-        (folder / "policy-0.safetensors").write_bytes(data)
-        about = {"algorithm": "maskable_ppo", "file": "policy-0.safetensors", "sha256": files.checksum(data)}
-        write_json(folder / "policy.json", about)
-        with pytest.raises(WeightError, match="not a safetensors file"):
-            load(folder)
-
-
-@pytest.mark.parametrize("name", ["../x.safetensors", "/x", None, 3, "a\0b.safetensors", "\ud800.safetensors", "x.zip"])
-def test_policy_json_may_name_only_a_file_beside_it(name, folder):
-    write_json(folder / "policy.json", {"algorithm": "maskable_ppo", "file": name, "sha256": "0"})
-    with pytest.raises(WeightError, match="expected the name of a file in this folder"):
-        load(folder)
-
-
-def test_a_typo_in_the_configuration_of_a_run_is_refused_with_the_nearest_name(folder):
+        put(folder, data)
+        refused(folder, "not a safetensors file")
+    for name in ("../x.safetensors", "/x", None, 3, "a\0b.safetensors", "\ud800.safetensors", "x.zip"):
+        put(folder, file=name)
+        refused(folder, "expected the name of a file in this folder")
     fields = json.loads((folder / "config.json").read_text())
     fields["network"]["widht"] = 16
     write_json(folder / "config.json", fields)
@@ -120,35 +114,30 @@ def test_a_typo_in_the_configuration_of_a_run_is_refused_with_the_nearest_name(f
 
 
 def test_what_is_no_policy_lists_those_there_are(tmp_path, capsys):
-    with pytest.raises(ConfigError, match="or a run folder"):
-        load("nothing")
-    with pytest.raises(ConfigError, match=r"no run of mecp-env train; a run folder, or a model file"):
-        load(tmp_path)
     (tmp_path / "notes.txt").write_text("hello")
+    for name, said in (
+        ("nothing", "or a run folder"),
+        ("maskable_pp", r"maskable_pp, expected one of maskable_ppo.*did you mean 'maskable_ppo'\?"),
+        (tmp_path, r"no run of mecp-env train; a run folder, or a model file"),
+        (tmp_path / "policy-0.safetensors", "name the folder"),
+    ):
+        with pytest.raises(ConfigError, match=said):
+            load(name)
     with pytest.raises(ConfigError, match=r"notes\.txt is no trained policy"):
         load(tmp_path / "notes.txt", trust=True)
     write_json(tmp_path / "config.json", quick().to_dict())
-    with pytest.raises(WeightError, match="no policy yet"):
-        load(tmp_path)
-    with pytest.raises(ConfigError, match="name the folder"):
-        load(tmp_path / "policy-0.safetensors")
+    refused(tmp_path, "no policy yet")
     assert explore("nothing") == 2
     assert "nothing" in capsys.readouterr().err
-    assert shipped()
 
 
-def test_a_policy_explores_a_building_and_says_what_came_of_it(folder, capsys):
-    assert explore(folder) == 0
-    assert "coverage" in capsys.readouterr().out
-
-
-def test_the_policy_that_comes_with_the_repository_loads_and_is_small(capsys):
+def test_the_policy_that_comes_with_the_repository_is_small_and_explores(capsys):
     assert "maskable_ppo" in shipped()
-    found = list((WEIGHTS / "maskable_ppo").glob("policy-*.safetensors"))
-    assert len(found) == 1
-    assert found[0].stat().st_size < 1.9e6
+    (found,) = (WEIGHTS / "maskable_ppo").glob("policy-*.safetensors")
+    assert found.stat().st_size < 1.9e6
     assert load("maskable_ppo").actions == "goal"
     assert explore("maskable_ppo") == 0
+    assert "coverage" in capsys.readouterr().out
 
 
 class Payload:
@@ -173,60 +162,33 @@ def crafted(folder, mark):
     return path
 
 
-def test_a_crafted_zip_does_not_run(tmp_path):
-    mark = tmp_path / "it_ran"
-    path = crafted(tmp_path, mark)
+def test_a_crafted_zip_does_not_run_nor_in_the_place_of_weights(folder):
+    mark = folder / "it_ran"
+    path = crafted(folder, mark)
+    put(folder, path.read_bytes())
+    refused(folder, "not a safetensors file")
     with pytest.raises(ConfigError, match="--trust"):
         load(path)
     assert explore(path) == 2
-    renamed = path.rename(tmp_path / "weights.bin")
     with pytest.raises(ConfigError, match="--trust"):
-        load(renamed)
-    assert not mark.exists()
-
-
-def test_a_crafted_zip_in_the_place_of_weights_does_not_run(folder):
-    mark = folder / "it_ran"
-    data = crafted(folder, mark).read_bytes()
-    weights(folder).write_bytes(data)
-    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": files.checksum(data)}
-    write_json(folder / "policy.json", about)
-    with pytest.raises(WeightError):
-        load(folder)
+        load(path.rename(folder / "weights.bin"))
     assert not mark.exists()
 
 
 def test_a_zip_that_is_none_and_one_that_unpacks_without_end_are_refused(tmp_path, monkeypatch):
-    path = tmp_path / "model.zip"
-    path.write_bytes(b"no zip")
-    with pytest.raises(WeightError, match="not a model file"):
-        load(path, trust=True)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("data", "[" * 200_000)
-    with pytest.raises(WeightError, match="not a model file"):
-        load(path, trust=True)
-    with zipfile.ZipFile(path, "w") as archive:
-        archive.writestr("data", json.dumps({"policy_class": {"__module__": "a"}}))
-    with pytest.raises(WeightError, match="cannot be loaded"):
-        load(path, trust=True)
+    def model(text, said):
+        with zipfile.ZipFile(tmp_path / "model.zip", "w", zipfile.ZIP_DEFLATED) as archive:
+            archive.writestr("data", text)
+        with pytest.raises(WeightError, match=said):
+            load(tmp_path / "model.zip", trust=True)
+
+    model("[" * 200_000, "not a model file")
+    model(json.dumps({"policy_class": {"__module__": "a"}}), "cannot be loaded")
     monkeypatch.setattr("mecp_env.learning.exported.MOST_UNPACKED", 1000)
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("data", " " * 100_000)
-    with pytest.raises(WeightError, match="unpacked"):
-        load(path, trust=True)
-
-
-def test_a_trusted_model_of_stable_baselines_acts(tmp_path):
-    import gymnasium as gym
-
-    env = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions="goal")
-    model = contrib.MaskablePPO("MultiInputPolicy", env, n_steps=8, batch_size=8, device="cpu")
-    model.save(tmp_path / "model.zip")
-    policy = load(tmp_path / "model.zip", trust=True)
-    observation, _ = env.reset(seed=0)
-    mask = env.get_wrapper_attr("action_masks")()
-    assert mask[policy.act(observation, mask)]
-    assert policy.actions == "goal"
+    model(" " * 100_000, "unpacked")
+    (tmp_path / "model.zip").write_bytes(b"no zip")
+    with pytest.raises(WeightError, match="not a model file"):
+        load(tmp_path / "model.zip", trust=True)
 
 
 def stock_model(env, path, kind=contrib.MaskablePPO):
@@ -248,15 +210,9 @@ def test_a_model_whose_spaces_do_not_fit_is_refused_with_both(tmp_path):
     env = gymnasium.make("mecp_env/Rooms-v0", actions="goal", laser={"beams": 360}, observation={"scan": True})
     policy = load(stock_model(env, tmp_path / "scan.zip"), trust=True)
     other = gymnasium.make("mecp_env/Rooms-v0", actions="goal", observation={"scan": True})
-    with pytest.raises(
-        ConfigError, match=r"scan\.zip was trained on .*'scan': \(360,\).*, the observation has .*\(720,\)"
-    ):
+    said = r"scan\.zip was trained on .*'scan': \(360,\).*, the observation has .*\(720,\)"
+    with pytest.raises(ConfigError, match=said):
         policy.act(other.reset(seed=0)[0])
-
-
-def test_a_trained_policy_that_there_is_not_gets_a_guess():
-    with pytest.raises(ConfigError, match=r"maskable_pp, expected one of maskable_ppo.*did you mean 'maskable_ppo'\?"):
-        load("maskable_pp")
 
 
 def test_a_policy_without_known_ground_explores_a_task_and_never_drives_back(folder):

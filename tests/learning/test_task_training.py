@@ -17,7 +17,7 @@ pytest.importorskip("safetensors")
 from mecp_env.core.errors import ConfigError  # noqa: E402
 from mecp_env.episode.tasks import TASKS  # noqa: E402
 from mecp_env.learning.config import TrainConfig  # noqa: E402
-from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
+from mecp_env.learning.downsampled import downsampled_space  # noqa: E402
 from mecp_env.learning.encoder import make_network  # noqa: E402
 from mecp_env.learning.environments import make_env  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
@@ -25,14 +25,11 @@ from mecp_env.learning.warm_start import check_teacher  # noqa: E402
 from mecp_env.policies.active import Active, Returning, Stachniss  # noqa: E402
 from mecp_env.policies.registry import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
 from mecp_env.policies.rollout import options_of  # noqa: E402
-from tests.learning.training import quick, resume, run  # noqa: E402
+from tests.learning.training import logits, quick, resume, run, shaken  # noqa: E402
 
 TASK = "ActiveHalls-v0"
-SMALL = {
-    "task": TASK,
-    "env": {"max_steps": 60},
-    "buildings": {"spec": {"rooms": 3, "loops": 0}},
-}
+SMALL = {"task": TASK, "env": {"max_steps": 60}, "buildings": {"spec": {"rooms": 3, "loops": 0}}}
+THIN = {"width": 16, "grid_channels": 4}
 
 
 @pytest.fixture(scope="module")
@@ -46,25 +43,6 @@ def seen():
         if (observation["goals"][:, KIND] == PLACE).any():
             found.append(observation)
     return found
-
-
-def batch(observation):
-    return {name: torch.as_tensor(values[None]) for name, values in downsample(observation, goals=True).items()}
-
-
-def logits(network, observation):
-    with torch.no_grad():
-        return network.get_distribution(batch(observation)).distribution.logits[0].numpy()
-
-
-def shaken(**network):
-    """A policy in which every input has an influence."""
-    torch.manual_seed(0)
-    policy = make_network(quick(**SMALL, network={"width": 16, "grid_channels": 4} | network))
-    with torch.no_grad():
-        for parameter in policy.parameters():
-            parameter.add_(0.1 * torch.randn_like(parameter))
-    return policy
 
 
 def test_a_task_sets_buildings_robot_and_reward_and_can_be_overridden():
@@ -103,7 +81,7 @@ def test_an_untrained_policy_seldom_drives_to_known_ground_and_looks_elsewhere_w
 
 
 def test_an_untrained_policy_drives_as_stachniss_to_places_and_new_floor(seen):
-    network = make_network(quick(**SMALL, network={"width": 16, "grid_channels": 4, "prior": "stachniss"}))
+    network = make_network(quick(**SMALL, network=THIN | {"prior": "stachniss"}))
     farther = {name: values.copy() for name, values in seen[0].items()}
     farther["goals"][farther["goals"][:, KIND] < PLACE, PATH] += 150.0  # so that it is a place
     chosen = list[int]()
@@ -117,7 +95,7 @@ def test_an_untrained_policy_drives_as_stachniss_to_places_and_new_floor(seen):
 
 
 def test_an_untrained_policy_returns_as_returning_does_when_its_pose_is_uncertain(seen):
-    network = make_network(quick(**SMALL, network={"width": 16, "grid_channels": 4, "prior": "returning"}))
+    network = make_network(quick(**SMALL, network=THIN | {"prior": "returning"}))
     chosen = list[int]()
     for observation in seen:
         for sigma_m, there in ((0.05, 0.02), (0.5, 0.02), (0.5, 0.4)):
@@ -152,8 +130,8 @@ def test_uncertainty_reaches_the_network_unless_it_is_hidden(name, seen):
         changed["pose_cov"] *= 9.0
     else:
         changed["landmarks"][:, 2:5] *= 9.0
-    open_eyed, blind = shaken(), shaken(uncertainty=False)
-    assert np.abs(logits(open_eyed, changed) - logits(open_eyed, seen[0])).max() > 1e-5
+    open_eyed, blind = (shaken(quick(**SMALL, network=THIN | {"uncertainty": shown})) for shown in (True, False))
+    assert (logits(open_eyed, changed) - logits(open_eyed, seen[0])).abs().max() > 1e-5
     np.testing.assert_array_equal(logits(blind, changed), logits(blind, seen[0]))
 
 

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 import csv
 import json
-import random
 import signal
 import time
 
@@ -40,9 +39,10 @@ SLOW_OTHERS = [pytest.param(name, marks=[pytest.mark.slow] * (name != "maskable_
 
 
 @pytest.mark.parametrize("algorithm", SLOW_OTHERS)
-def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path):
+def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path, capsys):
     folder, code = run(tmp_path, curves=True, algorithm=algorithm)
     assert code == 0
+    assert "+-" not in capsys.readouterr().out  # seen: "+- 0.0000" for one building, as if it were known exactly
     config = quick(algorithm)
     assert json.loads((folder / "config.json").read_text()) == config.to_dict()
     about = json.loads((folder / "run.json").read_text())[0]
@@ -62,18 +62,10 @@ def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path
         action = policy.act(observation, mask)
         assert mask is None or mask[action]
         observation, *_ = env.step(action)
-
-
-@pytest.mark.slow
-def test_the_same_seed_trains_the_same_policy(tmp_path):
-    folders = []
-    for name in ("a", "b"):
-        (tmp_path / name).mkdir()
-        folders.append(run(tmp_path / name)[0])
-    checks = [json.loads((folder / "policy.json").read_text())["sha256"] for folder in folders]
-    last = [weights_in(checkpoints(folder)[-1]) for folder in folders]
-    assert checks[0] == checks[1]
-    assert all(torch.equal(last[0][name], last[1][name]) for name in last[0])
+    before = (folder / "policy.json").read_bytes()
+    assert run(tmp_path, algorithm=algorithm)[1] == 2  # a folder that holds a run is not written over
+    assert "--resume" in capsys.readouterr().err
+    assert (folder / "policy.json").read_bytes() == before
 
 
 def test_a_warm_start_imitates_its_teacher(tmp_path, capsys):
@@ -103,12 +95,10 @@ def test_a_warm_start_of_the_critic_leaves_the_policy_what_it_was(tmp_path):
     [
         ({"warm_start": {"teacher": "nearst"}}, "did you mean 'nearest'"),
         ({"algorithm": "ppo", "warm_start": {"teacher": "bfs"}}, "bfs selects goals, ppo velocities"),
-        ({"buildings": {"difficulty": ["mediun"]}}, "is not one of easy, medium"),
         ({"buildings": {"difficulty": ["easy", "mediun"]}}, "did you mean 'medium'"),
         ({"buildings": {"spec": {"roms": 3}}}, "did you mean 'rooms'"),
         ({"buildings": {"layout": "nowhere"}}, "buildings.layout: nowhere: no such file"),
         ({"buildings": {"layout": "a\x1b[31mb"}}, "buildings.layout: a?[31mb: no such file"),
-        ({"ppo": {"epoch": 1}}, "did you mean 'epochs'"),
         ({"network": {"width": 640}}, "network.width: 640 (grid_channels 16, lstm 128) makes a file of 24"),
         ({"algorithm": "recurrent_ppo", "network": {"lstm": 1024}}, "bytes of weights, at most 16000000"),
     ],
@@ -137,14 +127,6 @@ def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
     venv.close()
 
 
-def test_a_folder_that_holds_a_run_is_not_written_over(tmp_path, capsys):
-    folder, _ = run(tmp_path)
-    before = (folder / "policy.json").read_bytes()
-    assert run(tmp_path)[1] == 2
-    assert "--resume" in capsys.readouterr().err
-    assert (folder / "policy.json").read_bytes() == before
-
-
 @pytest.fixture(scope="module")
 def launcher():
     """Of processes that have imported PyTorch and the training, and loaded the compiled functions."""
@@ -161,16 +143,6 @@ def wait_for_checkpoint(process, folder, beyond=-1):
             return
         time.sleep(0.02)
     raise AssertionError(f"no checkpoint: {process.communicate()[0]}")
-
-
-def resumed_after(process):
-    """The number of decisions after which a run reports that it resumes."""
-    said = ""
-    for line in process.stdout:
-        said += line
-        if line.startswith("resumed after"):
-            return int(line.split()[2].replace(",", ""))
-    raise AssertionError(f"did not resume: {said}")
 
 
 @pytest.mark.slow
@@ -191,26 +163,6 @@ def test_a_killed_run_goes_on_from_its_last_checkpoint(launcher, tmp_path):
     assert load(folder)
 
 
-@pytest.mark.slow
-def test_killed_at_random_times_it_always_goes_on(launcher, tmp_path):
-    """One run, killed repeatedly: nothing that was saved is lost."""
-    rng = random.Random(0)
-    folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=100_000)
-    process, reached = start(launcher, "--config", str(config), "--out", str(folder)), 0
-    for _ in range(2):
-        wait_for_checkpoint(process, folder, beyond=reached)
-        time.sleep(rng.uniform(0.0, 1.5))
-        process.kill()
-        process.communicate()
-        newest = int(checkpoints(folder)[-1].stem)
-        process = start(launcher, "--resume", str(folder))
-        assert resumed_after(process) == newest > reached
-        reached = newest
-    process.kill()
-    process.communicate()
-    assert load(folder)
-
-
 @pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.slow)])
 def test_ctrl_c_and_sigterm_save_and_say_where(number, launcher, tmp_path):
     folder, config = tmp_path / "run", write_config(tmp_path / "given.json", steps=10_000)
@@ -221,24 +173,6 @@ def test_ctrl_c_and_sigterm_save_and_say_where(number, launcher, tmp_path):
     assert process.returncode == 130, said
     assert f"--resume {folder}" in said.replace("\n", "")
     assert checkpoints(folder)
-
-
-def test_a_damaged_checkpoint_is_passed_over_and_three_are_kept(tmp_path):
-    folder, _ = run(tmp_path, steps=60)
-    paths = checkpoints(folder)
-    assert len(paths) == 3
-    assert not list((folder / "checkpoints").glob(".*"))
-    newest = bytearray(paths[-1].read_bytes())
-    newest[len(newest) // 2] ^= 1
-    paths[-1].write_bytes(newest)
-    config = quick(steps=60)
-    venv = make_many(config, 0)
-    model = make_model(config, venv, 0)
-    skipped: list[str] = []
-    state = RunFolder(folder, config).load_newest(model, skipped.append)
-    assert state.decisions == int(paths[-2].stem)
-    assert "damaged" in skipped[0]
-    venv.close()
 
 
 def test_what_lies_further_on_counts_less_and_the_discount_is_that_of_the_metres():
@@ -312,20 +246,6 @@ def test_advantages_of_drives_are_those_of_the_definition():
                 expected += weight * (buffer.rewards[k, column] + onward * ahead - buffer.values[k, column])
                 weight *= onward * 0.9
             assert buffer.advantages[row, column] == pytest.approx(expected, abs=1e-5)
-
-
-def test_a_killed_worker_ends_the_run_with_a_word(tmp_path, capsys, monkeypatch):
-    from mecp_env.vector import WorkerDied
-
-    def run_into_trouble(model, run):
-        raise WorkerDied("worker 0 (environments 0 to 1) was killed by SIGKILL")
-
-    monkeypatch.setattr("mecp_env.learning.train.learn", run_into_trouble)
-    folder, code = run(tmp_path)
-    said = capsys.readouterr()
-    assert code == 1
-    assert "killed by SIGKILL" in said.err
-    assert f"mecp-env train --resume {folder}\n" in said.out
 
 
 def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsys, monkeypatch):

@@ -1,8 +1,6 @@
 from __future__ import annotations
 
 import json
-from dataclasses import dataclass
-from pathlib import Path
 
 import pytest
 
@@ -14,94 +12,74 @@ from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
 from mecp_env.world.generator.spec import GeneratorSpec
 
 
-@dataclass
-class Parsed:
-    config: TrainConfig
-    folder: Path
-
-
-def parse(line: list[str]) -> Parsed:
-    """Configuration and folder of `mecp-env train` with a line of options."""
+def parse(line: list[str]) -> TrainConfig:
+    """The configuration of `mecp-env train` with a line of options."""
     command = cli.parse("train", line)
     assert isinstance(command, Train)
-    return Parsed(*(command.resumed(line) if command.resume else command.new(line)))
+    return (command.resumed(line) if command.resume else command.new(line))[0]
 
 
 def test_every_field_of_environment_and_algorithm_is_an_option():
     line = "maskable_ppo --steps 50 --env.estimator truth --env.laser.max-range-m 12 --ppo.no-anneal --network.width 32"
-    config = parse(line.split()).config
+    config = parse(line.split())
     assert (config.steps, config.env.estimator, config.env.laser.max_range_m) == (50, "truth", 12.0)
     assert (config.ppo.anneal, config.network.width, config.actions) == (False, 32, "goal")
-
-
-def test_what_the_line_does_not_name_still_follows_from_other_fields():
-    config = parse(["ppo", "--env.laser.preset", "lms200"]).config
+    assert parse(["ppo", "--env.max-steps", "90"]).env.max_steps == 90  # a number
+    config = parse(["ppo", "--env.laser.preset", "lms200"])  # what is not named still follows from other fields
     assert config.env.estimator_config.sensor.range_sigma_m == 0.01
 
 
 @pytest.mark.parametrize("algorithm", ALGORITHMS)
 def test_a_configuration_file_reproduces_the_configuration(algorithm, tmp_path):
     line = [algorithm, "--seed", "3", "--env.crowd.people", "2", "--buildings.difficulty", "easy", "hard"]
-    config = parse(line).config
+    config = parse(line)
     path = tmp_path / "config.json"
     path.write_text(json.dumps(config.to_dict()))
-    again = parse(["--config", str(path)]).config
+    again = parse(["--config", str(path)])
     assert again == config
     assert again.env.estimator_config == config.env.estimator_config
-
-
-def test_one_difficulty_may_be_a_word_in_a_file_and_numbers_of_the_line_are_numbers():
-    assert TrainConfig.build({"buildings": {"difficulty": "easy"}}).buildings.difficulty == ("easy",)
-    assert parse(["ppo", "--env.max-steps", "90"]).config.env.max_steps == 90
 
 
 def test_a_building_may_be_specified_by_numbers_ranges_and_words(tmp_path):
     spec = {"rooms": 12, "door_width_m": [0.7, 0.9], "shapes": ["L", "T"], "pieces": "box", "turned_deg": [-30, 30]}
     path = tmp_path / "config.json"
     path.write_text(json.dumps({"algorithm": "ppo", "buildings": {"spec": spec}}))
-    config = parse(["--config", str(path)]).config
+    config = parse(["--config", str(path)])
     words = "rooms 12 door_width_m 0.7 0.9 shapes L T pieces box turned-deg -30 30"
-    assert parse(["ppo", "--buildings.spec", *words.split()]).config == config
+    assert parse(["ppo", "--buildings.spec", *words.split()]) == config
     assert TrainConfig.build(config.to_dict()) == config
-    above = parse(["--config", str(path), "--buildings.spec", "door_width_m", "0.8"]).config
+    above = parse(["--config", str(path), "--buildings.spec", "door_width_m", "0.8"])
     assert above.buildings.spec == config.buildings.spec | {"door_width_m": (0.8, 0.8)}
 
 
 def test_the_words_of_a_specification_reach_the_buildings():
-    config = TrainConfig.build({"algorithm": "ppo", "buildings": {"spec": {"rooms": 5, "shapes": "U"}}})
+    config = TrainConfig.build({"buildings": {"difficulty": "easy", "spec": {"rooms": 5, "shapes": "U"}}})
     made = GeneratorSpec.preset(config.buildings.difficulty[0], **config.buildings.spec)
-    assert (made.rooms, made.shapes, made.loops) == (5, ("U",), 1)
+    assert (config.buildings.difficulty, made.rooms, made.shapes) == (("easy",), 5, ("U",))
 
 
 @pytest.mark.parametrize(
-    ("line", "said"),
-    [("12 rooms", "the name of a field comes first"), ("rooms 12 loops", "loops: a value is missing")],
+    ("words", "said"),
+    [
+        ("12 rooms", "the name of a field comes first"),
+        ("rooms 12 loops", "loops: a value is missing"),
+        ("rooms 3 pieces boxes loops 0", "did you mean 'box'"),
+    ],
 )
-def test_a_specification_that_cannot_be_read_from_the_line_ends_it(line, said, capsys):
+def test_a_specification_that_cannot_be_read_from_the_line_ends_it(words, said, capsys):
     with pytest.raises(SystemExit):
-        parse(["ppo", "--buildings.spec", *line.split()])
+        parse(["ppo", "--buildings.spec", *words.split()])
     assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
-
-
-def test_a_word_of_the_line_that_a_building_does_not_know_is_told_with_a_guess(capsys):
-    with pytest.raises(SystemExit):
-        parse(["ppo", "--buildings.spec", "rooms", "3", "pieces", "boxes", "loops", "0"])
-    assert "did you mean 'box'" in " ".join(capsys.readouterr().err.replace("│", " ").split())
-
-
-def test_whether_fields_of_a_building_fit_depends_on_the_difficulty(tmp_path):
-    """Three rooms are too few for the corridor of `medium`, which is the default of the line."""
-    path = tmp_path / "config.json"
-    path.write_text(json.dumps({"algorithm": "ppo", "buildings": {"difficulty": "easy"}}))
-    config = parse(["--config", str(path), "--buildings.spec", "rooms", "3"]).config
-    assert (config.buildings.difficulty, config.buildings.spec) == (("easy",), {"rooms": 3})
 
 
 def test_options_stand_above_the_file(tmp_path):
     path = tmp_path / "config.json"
-    path.write_text(json.dumps({"algorithm": "ppo", "seed": 4, "ppo": {"epochs": 9}}))
-    config = parse(["--config", str(path), "--seed", "5"]).config
+    fields = {"algorithm": "ppo", "seed": 4, "ppo": {"epochs": 9}, "buildings": {"difficulty": "easy"}}
+    path.write_text(json.dumps(fields))
+    config = parse(["--config", str(path), "--seed", "5", "--buildings.spec", "rooms", "3"])
     assert (config.algorithm, config.seed, config.ppo.epochs) == ("ppo", 5, 9)
+    # three rooms are too few for the corridor of `medium`, which is the default of the line
+    assert (config.buildings.difficulty, config.buildings.spec) == (("easy",), {"rooms": 3})
 
 
 def test_each_algorithm_has_defaults_of_its_own_and_is_paid_the_metric():
@@ -123,7 +101,6 @@ def test_each_algorithm_has_defaults_of_its_own_and_is_paid_the_metric():
         ({"env": {"lasr": {}}}, "did you mean 'laser'"),
         ({"env": {"laser": {"beems": 90}}}, "did you mean 'beams'"),
         ({"stepps": 3}, "did you mean 'steps'"),
-        ({"env": {"laser": {"beams": 3}}}, "greater than or equal to 8"),
         ({"env": {"laser": {"beams": "90"}}}, r"TrainConfig\.env\.laser\.beams: Input should be a number"),
         ({"algorithm": "dqn"}, "not one of ppo, maskable_ppo, recurrent_ppo"),
         ({"algorithm": "maskable_pp"}, "not one of ppo, .*did you mean 'maskable_ppo'"),
@@ -132,21 +109,16 @@ def test_each_algorithm_has_defaults_of_its_own_and_is_paid_the_metric():
         ({"env": {"actions": "goal"}}, r"env\.actions: follows from the algorithm"),
         ({"steps": "10"}, r"steps: Input should be a number \(given: '10'"),
         ({"ppo": {"learning_rate": True}}, "learning_rate: Input should be a number"),
-        ({"ppo": {"target_kl": "0.1"}}, "target_kl: Input should be a number"),
         ({"ppo": {"anneal": "yes"}}, "anneal: Input should be true or false"),
-        ({"log": {"tensorboard": 0}}, "tensorboard: Input should be true or false"),
         ({"buildings": {"spec": {"rooms": "3"}}}, r"spec\.rooms: Input should be a number"),
         ({"buildings": {"spec": {"rooms": [2, 3]}}}, "rooms: Input should be a valid integer"),
         ({"buildings": {"spec": {"estimator": 1}}}, r"spec\.estimator: no such field"),
-        ({"buildings": {"spec": {"split": 1}}}, r"spec\.split: no such field"),
         ({"buildings": {"layout": "paper", "spec": {"rooms": 3}}}, "'paper' is one building"),
         ({"buildings": {"spec": {"rooms": True}}}, r"spec\.rooms: Input should be a number"),
-        ({"buildings": {"spec": {"rooms": None}}}, "rooms: Input should be a valid integer"),
         ({"buildings": {"spec": {"rooms": float("inf")}}}, "rooms: Input should be a finite number"),
         ({"buildings": {"spec": {"rooms": 10**400}}}, "rooms: Input should be less than or equal to 200"),
         ({"buildings": {"spec": {"door_width_m": "0.8"}}}, "a number or a range of two"),
         ({"buildings": {"spec": {"door_width_m": ["0.8", 0.9]}}}, "door_width_m: Input should be a number"),
-        ({"buildings": {"spec": {"door_width_m": [0.7, 0.8, 0.9]}}}, "a number or a range of two"),
         ({"buildings": {"spec": {"shapes": 3}}}, "shapes: Input should be a valid tuple"),
         ({"buildings": {"spec": {"shapes": ["L", 3]}}}, r"shapes\.1: Input should be 'L', 'T' or 'U'"),
         ({"buildings": {"spec": {"shape": "L"}}}, "did you mean 'shapes'"),
@@ -172,18 +144,17 @@ def test_a_last_batch_of_one_decision_is_refused_with_a_size_that_will_do(algori
     assert TrainConfig.build(sizes | {"algorithm": "ppo"}).ppo.batch == 6
 
 
-@pytest.mark.parametrize("text", ["", "[1]", "{", "[" * 100_000, "\x00"])
-def test_a_file_that_is_no_configuration_is_refused(text, tmp_path):
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        *((text, r"config\.json") for text in ("", "[1]", "{", "[" * 100_000, "\x00")),
+        ('{"seed": 1, "ppo": {"epochs": 3, "epochs": 4}}', r"config\.json: epochs: given 2 times in one object"),
+    ],
+)
+def test_a_file_that_is_no_configuration_is_refused(text, said, tmp_path):
     path = tmp_path / "config.json"
     path.write_text(text)
-    with pytest.raises(ConfigError, match=r"config\.json"):
-        read_config(path)
-
-
-def test_a_key_that_is_given_twice_in_a_file_is_refused_by_name(tmp_path):
-    path = tmp_path / "config.json"
-    path.write_text('{"seed": 1, "ppo": {"epochs": 3, "batch": 8, "epochs": 4}}')
-    with pytest.raises(ConfigError, match=r"config\.json: epochs: given 2 times in one object"):
+    with pytest.raises(ConfigError, match=said):
         read_config(path)
 
 
@@ -196,7 +167,7 @@ def test_an_algorithm_that_there_is_not_and_none_at_all_list_those_there_are():
 @pytest.mark.slow
 def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({"algorithm": "ppo", "steps": 10}))
-    assert parse(["--resume", str(tmp_path), "--steps", "20"]).config.steps == 20
+    assert parse(["--resume", str(tmp_path), "--steps", "20"]).steps == 20
     for line in (["--seed", "1"], ["--out", "elsewhere"], ["--ppo.epochs", "2"]):
         with pytest.raises(ConfigError, match="only --steps"):
             parse(["--resume", str(tmp_path), *line])

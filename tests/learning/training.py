@@ -33,6 +33,37 @@ def quick(algorithm: str = "maskable_ppo", **fields: object) -> TrainConfig:
     return TrainConfig.build(QUICK | {"algorithm": algorithm} | fields)
 
 
+def batch(observation: dict[str, Any], goals: bool = True) -> dict[str, Any]:
+    """An observation of the environment as the network takes it."""
+    import torch
+
+    from mecp_env.learning.downsampled import downsample
+
+    return {name: torch.as_tensor(values[None]) for name, values in downsample(observation, goals).items()}
+
+
+def logits(network: Any, observation: dict[str, Any]) -> Any:
+    """The scores of all rows."""
+    import torch
+
+    with torch.no_grad():
+        return network.get_distribution(batch(observation)).distribution.logits[0]
+
+
+def shaken(config: TrainConfig) -> Any:
+    """A policy in which every input has an influence."""
+    import torch
+
+    from mecp_env.learning.encoder import make_network
+
+    torch.manual_seed(0)
+    policy = make_network(config)
+    with torch.no_grad():
+        for parameter in policy.parameters():
+            parameter.add_(0.1 * torch.randn_like(parameter))
+    return policy
+
+
 def write_config(path: Path, **fields: object) -> Path:
     """Such a configuration as a file."""
     path.write_text(json.dumps(QUICK | {"algorithm": "maskable_ppo"} | fields))

@@ -8,57 +8,58 @@ import numpy as np
 import pytest
 
 from mecp_env.logs import Log, ReadOptions, read_log
-from tests.logs.files import CARMEN, drive, flaser, write_archive
+from tests.logs.files import CARMEN, check_path, drive, flaser, lines_of, read_lines, write_archive
+
+LONG = drive(40)
 
 
-def written(path: Path, t: np.ndarray, line=flaser) -> Log:
-    _, poses, ranges = drive(len(t))
-    path.write_text("\n".join(line(*row) for row in zip(t, poses, ranges, strict=True)) + "\n")
-    return read_log(path)
+def stamped(folder: Path, t: np.ndarray, line=flaser) -> Log:
+    """A drive of 40 scans with these stamps; its odometry is as ever."""
+    log = read_lines(folder, lines_of(t, *LONG[1:], line))
+    assert len(log) == log.found == 40
+    check_path(log, LONG[1])
+    return log
 
 
 @pytest.mark.parametrize("line", CARMEN)
-@pytest.mark.parametrize("stamp", [0.0, 4.29497e9, -1.0, 4.85114e-86])
-def test_equal_stamps(tmp_path: Path, line: str, stamp: float) -> None:
-    log = written(tmp_path / "a.log", np.full(40, stamp), CARMEN[line])
-    assert len(log) == log.found == 40
-    assert log.counts["scans without a useful stamp, in the order of the file"] == 40
-    assert any("order of the file" in note for note in log.notes)
-    np.testing.assert_allclose(log.T_odom_robot, drive(40)[1], atol=1e-5)
+def test_equal_stamps(tmp_path: Path, line: str) -> None:
+    for stamp in (0.0, 4.29497e9, -1.0, 4.85114e-86):
+        log = stamped(tmp_path, np.full(40, stamp), CARMEN[line])
+        assert log.counts["scans without a useful stamp, in the order of the file"] == 40
+        assert any("order of the file" in note for note in log.notes)
 
 
 def test_lines_without_stamps(tmp_path: Path) -> None:
-    _, poses, ranges = drive(40)
-    lines = [flaser(0.0, pose, one).rsplit(" ", 3)[0] for pose, one in zip(poses, ranges, strict=True)]
-    (tmp_path / "a.log").write_text("\n".join(lines))
-    log = read_log(tmp_path / "a.log")
+    log = read_lines(tmp_path, [line.rsplit(" ", 3)[0] for line in lines_of(*LONG)])
     assert len(log) == log.counts["lines without a stamp"] == 40
-    np.testing.assert_allclose(log.T_odom_robot, poses, atol=1e-5)
+    check_path(log, LONG[1])
 
 
-@pytest.mark.parametrize("order", [lambda t: t[::-1], lambda t: np.tile(t[:20], 2), lambda t: np.roll(t, 10)])
-def test_clocks_that_run_backwards_or_start_again(tmp_path: Path, order) -> None:
-    log = written(tmp_path / "a.log", order(drive(40)[0]))
-    assert len(log) == 40
-    assert (np.diff(log.t) > 0.0).all()
-    np.testing.assert_allclose(log.T_odom_robot, drive(40)[1], atol=1e-5)
-
-
-def test_stamps_of_whole_seconds_are_spread(tmp_path: Path) -> None:
-    t = drive(40)[0]
-    log = written(tmp_path / "a.log", np.floor(t))
+def test_clocks_that_run_backwards_start_again_or_count_whole_seconds(tmp_path: Path) -> None:
+    t = LONG[0]
+    for order in (t[::-1], np.tile(t[:20], 2), np.roll(t, 10)):
+        assert (np.diff(stamped(tmp_path, order).t) > 0.0).all()
+    log = stamped(tmp_path, np.floor(t))
     assert log.counts["scans with the stamp of another"] == 30
     np.testing.assert_allclose(log.t, t, atol=1e-6)
 
 
+def test_stamps_that_repeat_or_are_impossible(tmp_path: Path) -> None:
+    lines = lines_of(*drive())
+    log = read_lines(tmp_path, [*lines[:3], lines[4], lines[3], *lines[5:], lines[-1]])
+    assert (np.diff(log.t) > 0.0).all()
+    assert log.counts["scans that repeat the one before"] == 1
+    assert log.counts["scans with an impossible stamp, or out of order, placed by their lines"] == 1
+    assert len(log) == log.found - 1 == 12
+    t = LONG[0].copy()
+    t[4], t[7] = 9e9, -5.0
+    assert (np.diff(stamped(tmp_path, t).t) > 0.0).all()
+
+
 def test_archives(tmp_path: Path) -> None:
     log = read_log(write_archive(tmp_path / "a.npz", t=np.zeros(12), rel=None))
-    assert len(log) == 12
     np.testing.assert_allclose(log.T_ref_robot, drive()[1], atol=1e-9)
-
-
-def test_the_order_of_the_file_can_be_asked_for(tmp_path: Path) -> None:
-    log = read_log(write_archive(tmp_path / "a.npz"), ReadOptions(clock="received"))
+    log = read_log(write_archive(tmp_path / "b.npz"), ReadOptions(clock="received"))  # the order of the file
     np.testing.assert_array_equal(log.t, np.arange(12.0))
 
 

@@ -1,16 +1,44 @@
-"""The explorers, on observations made by hand."""
+"""The explorers, and those that act on their uncertainty, on observations made by hand."""
 
 from __future__ import annotations
+
+from typing import Any
 
 import numpy as np
 import pytest
 
+from mecp_env.core.errors import ConfigError
+from mecp_env.policies.active import (
+    AHEAD_M,
+    InformationWeights,
+    Pause,
+    Returning,
+    Stachniss,
+    Triggers,
+    sigma_now,
+    sigma_there,
+)
 from mecp_env.policies.explorers import Nearest, RandomGoal
 from mecp_env.policies.gain import Gain, Weights, unseen_area, well_known
-from mecp_env.policies.registry import EXPLORERS, VALID, make_policy
+from mecp_env.policies.registry import (
+    EXPLORERS,
+    GAIN,
+    KIND,
+    LOOK,
+    PATH,
+    PLACE,
+    SIGMA,
+    SIGMA_RAD,
+    VALID,
+    WAIT,
+    X,
+    Y,
+    make_policy,
+)  # fmt: skip
 from tests.policies.scenes import OCCUPIED, UNKNOWN, goal, landmarks, observation, paint
 
 DOOR = 3
+NEW, NEAR, WAITING = goal(3.0, 0.0, 3.0), goal(0.0, 2.0, 2.0), {KIND: WAIT}
 
 
 def bar(*rows: int) -> np.ndarray:
@@ -20,9 +48,10 @@ def bar(*rows: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", EXPLORERS)
-def test_every_explorer_chooses_among_the_goals_and_begins_anew(name: str) -> None:
+def test_every_explorer_chooses_among_the_goals_begins_anew_and_changes_nothing(name: str) -> None:
     policy = make_policy(name)
     seen = observation(goal(1, 0, 4.0), goal(2, 0, 3.0), goal(3, 0, 5.0))
+    before = {part: values.copy() for part, values in seen.items()}
     policy.reset(7)
     first = [policy.act(seen, bar(1)) for _ in range(30)]
     policy.reset(7)
@@ -30,23 +59,13 @@ def test_every_explorer_chooses_among_the_goals_and_begins_anew(name: str) -> No
     if policy.actions == "goal":
         assert set(first) <= {0, 2}
         assert policy.act(observation(), np.zeros(32, bool)) == 0
-
-
-@pytest.mark.parametrize("name", EXPLORERS)
-def test_no_explorer_changes_what_it_is_shown(name: str) -> None:
-    seen = observation(goal(1, 0, 4.0), goal(2, 0, 3.0))
-    before = {part: values.copy() for part, values in seen.items()}
-    make_policy(name).act(seen, np.ones(32, bool))
     assert all(np.array_equal(before[part], seen[part]) for part in seen)
 
 
-def test_nearest_goes_by_the_way_and_not_by_the_line() -> None:
+def test_nearest_goes_by_the_way_and_not_by_the_line_and_only_to_goals() -> None:
     seen = observation(goal(0.5, 0, 9.0), goal(5, 0, 6.0), goal(0, 2, 7.0))
     assert Nearest().act(seen) == 1
     assert Nearest().act(seen, bar(1)) == 2
-
-
-def test_rows_that_are_no_goals_are_never_chosen() -> None:
     seen = observation(goal(0, 0, 0.0), goal(5, 0, 6.0))
     seen["goals"][0, VALID] = 0.0
     assert Nearest().act(seen) == Gain().act(seen) == RandomGoal().act(seen) == 1
@@ -92,6 +111,9 @@ def test_gain_prefers_much_floor_to_a_short_way_but_not_at_any_price() -> None:
     assert Gain().act(seen) == 1
     seen["goals"][1, 2] = 190.0
     assert Gain().act(seen) == 0
+    seen = observation(goal(2, 0, 3.0), goal(-2, 0, 2.0))  # where nothing new is expected, it goes to the nearest
+    paint(seen, UNKNOWN, (2.0, 2.2), (0.0, 0.2))
+    assert Gain().act(seen) == 1
 
 
 def test_gain_looks_one_goal_ahead() -> None:
@@ -104,12 +126,6 @@ def test_gain_looks_one_goal_ahead() -> None:
     assert Gain().value_of(area, goals).argmax() == 1
     alone = Gain(Weights(winding=1e9)).value_of(area, goals)
     assert alone == pytest.approx(area**0.7 / (goals[:, 2] + 2.0))
-
-
-def test_where_nothing_new_is_expected_gain_goes_to_the_nearest() -> None:
-    seen = observation(goal(2, 0, 3.0), goal(-2, 0, 2.0))
-    paint(seen, UNKNOWN, (2.0, 2.2), (0.0, 0.2))
-    assert Gain().act(seen) == 1
 
 
 def test_an_unsure_robot_prefers_ground_that_it_knows() -> None:
@@ -130,3 +146,93 @@ def test_ground_is_known_by_landmarks_that_are_surer_than_the_pose() -> None:
     places = np.array([[0.0, 0.0], [9.0, 0.0], [-9.0, 0.0]])
     assert well_known(seen["landmarks"], places, 0.1).tolist() == pytest.approx([1.0, 1 / 3, 0.0])
     assert well_known(seen["landmarks"], places, 0.05).tolist() == [0.0, 0.0, 0.0]
+
+
+def place(path_m: float, sigma_m: float, gain_nat: float = 0.0) -> dict[int, float]:
+    return {X: -path_m, Y: 0.0, PATH: path_m, KIND: PLACE, SIGMA: sigma_m, GAIN: gain_nat}
+
+
+def scene(*goals: dict[int, float], sigma_m: float = 0.5, recognised: float = 1.0) -> dict[str, Any]:
+    """Goals, a position known to `sigma_m` and a heading known well, unknown floor ahead."""
+    seen = observation(*goals)
+    seen["pose_cov"][:] = [sigma_m**2, 0, 0, sigma_m**2, 0, 1e-8]
+    seen["localisation"][2] = recognised
+    paint(seen, UNKNOWN, (3.0, 7.0), (-3.0, 3.0))
+    return seen
+
+
+def test_the_drawing_sigma_has_both_position_and_heading() -> None:
+    seen = scene(sigma_m=0.3)
+    seen["pose_cov"][5] = 0.1**2
+    assert sigma_now(seen["pose_cov"]) == pytest.approx(np.hypot(0.3, AHEAD_M * 0.1))
+    rows = observation({SIGMA: 0.3, SIGMA_RAD: 0.1})["goals"][:1]
+    assert sigma_there(rows) == pytest.approx([np.hypot(0.3, AHEAD_M * 0.1)])
+
+
+def test_returning_explores_while_the_pose_is_known_and_returns_when_it_is_not() -> None:
+    goals = (NEW, place(8.0, 0.02), place(4.0, 0.05), place(3.0, 0.45))
+    assert Returning().act(scene(*goals, sigma_m=0.1)) == 0
+    assert Returning(Triggers(metre=0.0)).act(scene(*goals)) == 1  # the best known
+    assert Returning(Triggers(metre=0.05)).act(scene(*goals)) == 2  # nearly as good, and nearer
+
+
+def test_returning_goes_nowhere_for_nothing_and_not_for_ever() -> None:
+    assert Returning().act(scene(NEW, place(3.0, 0.45))) == 0
+    policy, seen = Returning(Triggers(most_returns=2, between=3)), scene(NEW, place(3.0, 0.05))
+    assert [policy.act(seen) for _ in range(7)] == [1, 1, 0, 0, 0, 1, 1]
+
+
+def test_returning_goes_on_only_when_the_pose_is_clearly_better() -> None:
+    policy, goals = Returning(Triggers(lost_m=0.2, share=0.6)), (NEW, place(3.0, 0.05))
+    assert policy.act(scene(*goals, sigma_m=0.2)) == 0
+    assert policy.act(scene(*goals, sigma_m=0.3)) == 1
+    assert policy.act(scene(*goals, sigma_m=0.2)) == 1
+    assert policy.act(scene(*goals, sigma_m=0.1)) == 0
+
+
+def test_returning_does_not_return_for_what_is_uncertain_there_too_or_known_exactly() -> None:
+    """A map whose place is known to 0.3 m only, as wheels slipped at its start."""
+    assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.45)) == 0
+    assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.55)) == 1
+    seen = scene(NEW, place(3.0, 0.05))
+    seen["pose_cov"][:] = 0.0
+    assert Returning().act(seen) == 0
+
+
+def test_pause_waits_a_few_times_where_little_is_recognised() -> None:
+    policy = Pause(most_waits=2)
+    assert policy.act(scene(NEW, WAITING, recognised=1.0)) == 0
+    poor = scene(NEW, WAITING, recognised=0.1)
+    assert [policy.act(poor) for _ in range(4)] == [1, 1, 0, 1]
+    assert Pause().act(scene(NEW, WAITING, recognised=0.1, sigma_m=0.01)) == 0
+    assert Pause().act(scene(NEW, recognised=0.1)) == 0
+
+
+def test_stachniss_weighs_new_floor_against_the_pose() -> None:
+    new = NEW | {SIGMA: 0.1}
+    assert Stachniss().act(scene(new, place(4.0, 0.09), sigma_m=0.1)) == 0
+    lost = NEW | {SIGMA: 0.9}
+    at_home = Stachniss(InformationWeights(pose_nat=1.0, metre_nat=0.4))
+    assert at_home.act(scene(lost, place(4.0, 0.05), sigma_m=0.8)) == 1
+    assert Stachniss().act(scene(new, NEAR | {SIGMA: 0.1}, sigma_m=0.1)) == 0  # no new floor there, though nearer
+
+
+def test_a_longer_way_is_worth_less_and_information_more() -> None:
+    goals = np.zeros((4, 12))
+    goals[:, PATH], goals[:, SIGMA], goals[:, GAIN] = (2.0, 4.0, 2.0, 2.0), (0.1, 0.1, 0.05, 0.1), (0.0, 0.0, 0.0, 2.0)
+    worth = Stachniss().utility(np.full(4, 5.0), goals, 0.2)
+    assert worth[1] < worth[0] < min(worth[2], worth[3])
+
+
+@pytest.mark.parametrize("policy", [Gain, Pause, Returning, Stachniss])
+def test_masked_rows_a_lost_pose_and_columns_that_are_needed(policy: Any) -> None:
+    mask = np.ones(32, bool)
+    mask[1:4] = False
+    seen = scene(NEW, place(3.0, 0.01), WAITING, {KIND: LOOK}, recognised=0.0)
+    assert policy().act(seen, mask) == 0
+    if policy is not Gain:
+        assert policy().act(scene(NEW, {KIND: LOOK, PATH: 2.0}, WAITING)) == 1  # while the pose is searched for
+        del seen["localisation"]
+        said = rf"{policy.__name__} reads `localisation`, the observation has goals.*uncertainty"
+        with pytest.raises(ConfigError, match=said):
+            policy().act(seen)

@@ -19,45 +19,27 @@ from mecp_env.policies.rollout import EpisodeTask, Setting, options_of, run_epis
 from tests.command_lines import modules_of_page
 
 
-@pytest.mark.parametrize("name", registry.EXPLORERS)
-def test_every_explorer_is_made_by_its_name(name: str) -> None:
-    policy = make_policy(name)
-    assert policy.actions in ("goal", "velocity", "discrete")
-
-
-def test_an_unknown_policy_is_told_what_there_is_and_the_nearest_guess() -> None:
-    with pytest.raises(ConfigError, match=r"expected one of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"):
-        make_policy("nearst")
-    with pytest.raises(ConfigError, match=r"did you mean 'maskable_ppo'\?"):
-        make_policy("maskable_pp")
-    with pytest.raises(ConfigError) as error:
-        make_policy("qqqqqq")
-    assert "did you mean" not in str(error.value)
-
-
 def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     asked: list[str] = []
 
     def load(name: str, trust: bool = False) -> Nearest:
         asked.append(name)
+        if name == "ppo":
+            raise ModuleNotFoundError("No module named 'torch'", name="torch")
         return Nearest()
 
     monkeypatch.setitem(sys.modules, "mecp_env.learning.learned", types.SimpleNamespace(load=load))
     make_policy("maskable_ppo")
     make_policy(str(tmp_path))
     assert asked == ["maskable_ppo", str(tmp_path)]
-
-
-def test_without_pytorch_a_trained_policy_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
-    def load(name: str, trust: bool = False) -> Nearest:
-        raise ModuleNotFoundError("No module named 'torch'", name="torch")
-
-    monkeypatch.setitem(sys.modules, "mecp_env.learning.learned", types.SimpleNamespace(load=load))
     with pytest.raises(ConfigError, match=r"'ppo' is a trained policy and needs torch; install the extra `rl`"):
         make_policy("ppo")
 
 
-def test_explorers_load_nothing_of_learning() -> None:
+def test_explorers_load_and_name_nothing_of_learning() -> None:
+    """What loads a trained policy is named at the root, beside the entry points of the environments."""
+    sources = (Path(__file__).parents[2] / "mecp_env" / "policies").glob("*.py")
+    assert not [path.name for path in sources if re.search(r"mecp_env\.(learning|cli)\b", path.read_text())]
     code = (
         "import sys; from mecp_env.policies.registry import *; [make_policy(n) for n in EXPLORERS]; print(*sys.modules)"
     )
@@ -66,21 +48,12 @@ def test_explorers_load_nothing_of_learning() -> None:
     assert not {"torch", "stable_baselines3", "sb3_contrib", "mecp_env.learning.learned"} & set(done.stdout.split())
 
 
-def test_policies_do_not_name_the_folders_above_them() -> None:
-    """What loads a trained policy is named at the root, beside the entry points of the environments."""
-    sources = (Path(__file__).parents[2] / "mecp_env" / "policies").glob("*.py")
-    assert not [path.name for path in sources if re.search(r"mecp_env\.(learning|cli)\b", path.read_text())]
-
-
 def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatch) -> None:
     made = types.ModuleType("farthest")
     exec(modules_of_page()["farthest"], made.__dict__)
     monkeypatch.setitem(sys.modules, "farthest", made)
     episode = run_episode(EpisodeTask("farthest:Farthest", 0, Setting("easy", "validation", "slam", 60)))
     assert episode.figures["coverage"] > 0.3
-
-
-def test_the_documentation_has_every_explorer() -> None:
     text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
     assert all(f"| `{name}` |" in text for name in registry.EXPLORERS)
 
@@ -101,11 +74,6 @@ class NoFile(Nearest):
         raise ValueError("no model file")
 
 
-def test_a_policy_that_cannot_be_made_is_named_with_the_line() -> None:
-    with pytest.raises(ConfigError, match=r"NoFile' cannot be constructed: ValueError: no model file \(__init__, line"):
-        make_policy(f"{__name__}:NoFile")
-
-
 class Leaves(Nearest):
     """A policy that ends the process."""
 
@@ -113,22 +81,27 @@ class Leaves(Nearest):
         raise SystemExit(0)
 
 
-def test_a_policy_that_ends_the_process_is_refused() -> None:
-    with pytest.raises(ConfigError, match=r"Leaves' ends the process \(SystemExit: 0\)"):
-        make_policy(f"{__name__}:Leaves")
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        (f"{__name__}:NoFile", r"NoFile' cannot be constructed: ValueError: no model file \(__init__, line"),
+        (f"{__name__}:Leaves", r"Leaves' ends the process \(SystemExit: 0\)"),
+        (f"{__file__}", r"test_registry\.py:MyPolicy"),
+        ("", "expected one of"),
+        ("nearst", r"expected one of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"),
+        ("maskable_pp", r"did you mean 'maskable_ppo'\?"),
+        ("qqqqqq", r"expected one of (?!.*did you mean)"),
+    ],
+)
+def test_a_name_of_no_policy_that_can_be_made_says_why(name: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said):
+        make_policy(name)
 
 
 @pytest.mark.parametrize("raised", [ValueError("boom"), SystemExit("boom")])
 def test_what_a_policy_raises_names_it(raised: BaseException) -> None:
     with pytest.raises(ConfigError, match=r"my:Own' .*boom"), registry.calls_of("my:Own"):
         raise raised
-
-
-def test_source_code_and_an_empty_name_are_no_policies(tmp_path: Path) -> None:
-    (tmp_path / "mine.py").write_text("")
-    for name, said in ((tmp_path / "mine.py", r"mine\.py:MyPolicy"), ("", "expected one of")):
-        with pytest.raises(ConfigError, match=said):
-            make_policy(str(name))
 
 
 def test_a_file_below_the_working_directory_names_its_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -143,21 +116,15 @@ def test_a_file_below_the_working_directory_names_its_class(tmp_path: Path, monk
         make_policy("deep/own_file")
 
 
-@pytest.mark.parametrize(
-    ("name", "model"),
-    [
-        ("my_vecnormalize.pkl", "my.zip"),
-        ("vec_normalize.pkl", "my.zip"),
-        ("rl_model_vecnormalize_1000_steps.pkl", "rl_model_1000_steps.zip"),  # as `CheckpointCallback` names them
-    ],
-)
-def test_statistics_are_found_by_their_usual_names(name: str, model: str, tmp_path: Path) -> None:
-    for file in (name, model, "other.zip", "other_vecnormalize.pkl"):
-        (tmp_path / file).write_bytes(b"VecNormalize")
-    assert registry.statistics_of(tmp_path / model) == tmp_path / name
-
-
-def test_statistics_of_an_unknown_name_are_not_left_out_in_silence(tmp_path: Path) -> None:
+def test_statistics_are_found_by_their_usual_names_and_not_left_out_in_silence(tmp_path: Path) -> None:
+    usual = {"my_vecnormalize.pkl": "my.zip", "vec_normalize.pkl": "my.zip"}
+    usual["rl_model_vecnormalize_1000_steps.pkl"] = "rl_model_1000_steps.zip"  # as `CheckpointCallback` names them
+    for name, model in usual.items():
+        folder = tmp_path / name.removesuffix(".pkl")
+        folder.mkdir()
+        for file in (name, model, "other.zip", "other_vecnormalize.pkl"):
+            (folder / file).write_bytes(b"VecNormalize")
+        assert registry.statistics_of(folder / model) == folder / name
     for name in ("replay_buffer.pkl", "my.zip"):
         (tmp_path / name).write_bytes(b"content")
     assert registry.statistics_of(tmp_path / "my.zip") is None

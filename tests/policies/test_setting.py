@@ -6,6 +6,7 @@ import json
 import re
 import shutil
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.policies.evaluation import Evaluation
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.gain import Gain
+from mecp_env.policies.recording import Recording
 from mecp_env.policies.rollout import EpisodeTask, make_rooms, run_episode
 from mecp_env.policies.setting import Setting, checksum_of, plan_fields, plan_names, words_of
 from mecp_env.world.layout import LIBRARY
@@ -62,6 +64,7 @@ def test_episode_i_is_in_plan_i_mod_n_from_the_start_i(plans: Path) -> None:
 
 
 def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert words_of({"laser": {"max_range_m": 4.0}, "start": "layout"}) == ["laser.max_range_m 4.0", "start layout"]
     words = ("--plans", plans, "--env.laser.max_range_m", "4", "--env.odometry.scale=3", "--crowd.people", "2")
     assert evaluate(tmp_path, *words) == 0
     result, page = result_of(tmp_path), capsys.readouterr().out
@@ -95,19 +98,6 @@ def test_episodes_of_another_setting_are_never_mixed_in(
     assert "has results of another run: content" in capsys.readouterr().err
 
 
-@pytest.mark.slow
-def test_shards_in_plans_give_the_result_of_a_single_run(
-    plans: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    words = ("--plans", plans, "--env.odometry.scale", "2")
-    assert evaluate(tmp_path, *words, out="whole") == 0
-    for shard in ("1/2", "2/2"):
-        assert evaluate(tmp_path, *words, "--shard", shard) == 0
-    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
-    assert evaluate(tmp_path, *words) == 0
-    assert result_of(tmp_path)["rows"] == result_of(tmp_path, "whole")["rows"]
-
-
 def test_one_building_by_name_or_file(tmp_path: Path) -> None:
     assert evaluate(tmp_path, "--layout", "two_rooms", out="name") == 0
     assert evaluate(tmp_path, "--layout", LIBRARY / "two_rooms.json", out="file") == 0
@@ -130,14 +120,11 @@ def test_a_task_gives_its_robot_to_plans_below_what_policies_and_options_say(pla
     assert setting.where.startswith(f"{plans}, robot of ActiveHalls-v0, laser.beams 360")
 
 
-def test_a_changed_task_keeps_its_buildings() -> None:
-    setting = Setting("", "validation", max_steps=20, task="ActiveHalls-v0", env={"odometry": {"scale": 4.0}})
-    config = config_of(setting)
+def test_a_changed_task_keeps_its_buildings_and_the_default_has_the_fields_of_older_versions() -> None:
+    changed = Setting("", "validation", max_steps=20, task="ActiveHalls-v0", env={"odometry": {"scale": 4.0}})
+    config = config_of(changed)
     assert (config.odometry.scale, config.odometry.slip_share) == (4.0, 0.01)
     assert config.layout["generate"]["rooms"] == 6
-
-
-def test_the_default_setting_has_the_fields_of_older_versions() -> None:
     old = {"difficulty": "medium", "split": "test", "estimator": "slam", "max_steps": 3000, "task": ""}
     assert Setting().named() == old
     assert Setting().run_key() == {name: value for name, value in old.items() if name != "estimator"}
@@ -154,20 +141,12 @@ def test_names_and_content_of_plans(plans: Path) -> None:
     assert plan_fields(plans, {})["content"] != fields["content"]
     with pytest.raises(ConfigError, match=r"plans: .*: files have changed since the evaluation started"):
         setting.buildings(0)
-
-
-def test_the_image_of_a_plan_is_a_part_of_its_content(tmp_path: Path) -> None:
-    sheet = tmp_path / "a.yaml"
+    sheet, found = plans / "a.yaml", set()  # the image of a plan is a part of its content
     sheet.write_text("image: a.png\nresolution: 0.05\norigin: [0.0, 0.0, 0.0]\n")
-    found = set()
     for data in (b"1", b"2"):
-        (tmp_path / "a.png").write_bytes(data)
-        found.add(checksum_of((sheet,), tmp_path))
+        (plans / "a.png").write_bytes(data)
+        found.add(checksum_of((sheet,), plans))
     assert len(found) == 2
-
-
-def test_changes_in_words() -> None:
-    assert words_of({"laser": {"max_range_m": 4.0}, "start": "layout"}) == ["laser.max_range_m 4.0", "start layout"]
 
 
 def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
@@ -187,6 +166,25 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        ("nearst", "nearst.*did you mean 'nearest'"),
+        ("nowhere:Policy", "'nowhere:Policy' cannot be constructed: No module named 'nowhere'"),
+        ("random:Policy", "random:Policy' cannot be constructed: .*'Policy'"),
+        ("random:Random", "'random:Random' has no 'actions'"),
+        ("--no-policy", "policies: expected at least one of bfs"),
+        ("--split tests", "train, validation, test; did you mean 'test'"),
+        ("--difficulty medum", "medium"),
+        ("--estimator slm", "--estimator slm; did you mean 'slam'?"),
+        ("--episodes 0", r"--episodes: .*greater than or equal to 1 \(given: 0\)"),
+        ("--episodes 5000", "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
+        ("--reference gian", "one of nearest, bfs, .*random_walk, standing; did you mean 'gain'"),
+        ("--jobs 0", r"--jobs: .*greater than or equal to 1 \(given: 0\)"),
+        ("--jobs 257", r"--jobs: .*less than or equal to 256 \(given: 257\)"),
+        ("--max-steps 0", r"--max_steps: .*greater than or equal to 1 \(given: 0\)"),
+        ("--json .", "is a folder, not a file"),
+        ("--json HERE/a.json", "test_setting.py is a file, not a folder"),
+        ("--out HERE/out", "--out: .*/test_setting.py is a file, not a folder"),
+        ("--json page.md", "json: page.md: expected"),
+        ("--shard 3/2", "shard: '3/2', expected NUMBER/COUNT such as 1/4"),
         ("--plans nowhere", "plans: nowhere: no such file or folder"),
         ("--plans .", r"plan: \., no file in it ends in"),
         ("--layout offic", "layout: 'offic', expected a file, or one of .*; did you mean 'office'"),
@@ -214,11 +212,54 @@ def test_wrong_input_is_refused_before_anything_is_written(
     words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.chdir(tmp_path)
+    policy = "nearest " if words.startswith("--") and words != "--no-policy" else ""
+    line = f"evaluate {policy}{words.removeprefix('--no-policy')} {'' if '--out' in words else '--out out'}"
     try:
-        code = cli.main(["evaluate", "nearest", "--out", "out", *words.split()])
+        code = cli.main(line.replace("HERE", __file__).split())
     except SystemExit as end:  # of the parser
         code = int(str(end.code))
     assert code == 2
     message = " ".join(capsys.readouterr().err.split())
     assert re.search(said, message), message
     assert not list(tmp_path.iterdir())
+
+
+class FlatDriver:
+    """Drives ahead; it takes nothing but flat observations."""
+
+    actions, settings = "discrete", MappingProxyType({"observation": "flat"})
+
+    def reset(self, seed: int = 0) -> None:
+        """Nothing to do."""
+
+    def act(self, observation: Any, mask: Any = None) -> int:
+        """Ahead."""
+        assert observation.ndim == 1
+        return 1
+
+
+class MapReader(FlatDriver):
+    """The same with the tables and the coarse map."""
+
+    settings = MappingProxyType({"observation": {"map": True}})
+
+    def act(self, observation: Any, mask: Any = None) -> int:
+        """Ahead."""
+        return int(observation["map"].shape == (8, 64, 64))
+
+
+@pytest.mark.parametrize("policy", [FlatDriver(), MapReader()])
+@pytest.mark.parametrize("observation", ["dict", "flat"])
+def test_a_recorded_policy_sees_the_format_that_it_needs_whatever_is_recorded(policy: Any, observation: str) -> None:
+    setting = Setting("easy", "validation", "slam", 3)
+    rows = next(iter(Recording(policy, setting, observation).episodes(0, 1)))
+    assert rows.actions == [1, 1, 1]
+    assert isinstance(rows.observations[0], dict) == (observation == "dict")
+
+
+def test_the_format_does_not_change_where_a_policy_drives() -> None:
+    """The number of a goal may differ, as the rows of a format are in an order of its own."""
+    setting = Setting("easy", "validation", "slam", 40)
+    formats = (next(iter(Recording(Gain(), setting, name).episodes(0, 1))) for name in ("flat", "dict", "image"))
+    flat, tables, image = ([(info["metres"], info["coverage"]) for info in rows.infos] for rows in formats)
+    assert flat == tables == image

@@ -80,25 +80,20 @@ def renamed(content: dict[str, Any], value: float, suffix: str = "+") -> dict[st
 
 def test_the_leaderboard_merges_files_and_puts_the_best_first(result: Path) -> None:
     content = read_submission(result)
-    lines = leaderboard({"mine.json": content, "better.json": renamed(content, 0.9)}).split("\n")
+    better, never, namesake = (renamed(content, value, suffix) for value, suffix in ((0.9, "+"), (0.0, "-"), (0.9, "")))
+    lines = leaderboard({"mine.json": content, "better.json": better}).split("\n")
     assert lines[0] == "| | easy | ActiveCheapRobot-v0 |"
     assert lines[2].endswith("| 0.900 [0.000, 1.000] | 0.900 [0.000, 1.000] |")
     assert len(lines) == 6
+    least_lost = names_in(leaderboard({"often.json": better, "never.json": never}, "lost"))
+    assert least_lost == [f"| {name}{suffix}" for suffix in "-+" for name in ("nearest", "returning")]
+    told_apart = names_in(leaderboard({"a.json": content, "b.json": namesake, "again.json": content}))
+    both = [f"| {name}, {file}" for name in ("nearest", "returning") for file in ("a.json", "b.json")]
+    assert sorted(told_apart) == both
 
 
-def test_who_is_lost_least_is_the_best(result: Path) -> None:
-    content = read_submission(result)
-    often, never = renamed(content, 0.9), renamed(content, 0.0, "-")
-    lines = leaderboard({"often.json": often, "never.json": never}, "lost").split("\n")
-    assert [line.split(" |")[0] for line in lines[2:]] == [f"| {n}{s}" for s in "-+" for n in ("nearest", "returning")]
-
-
-def test_policies_of_one_name_and_different_results_are_told_apart(result: Path) -> None:
-    content = read_submission(result)
-    other = renamed(content, 0.9, "")
-    lines = leaderboard({"a.json": content, "b.json": other, "again.json": content}).split("\n")
-    names = [line.split(" |")[0] for line in lines[2:]]
-    assert sorted(names) == [f"| {name}, {file}" for name in ("nearest", "returning") for file in ("a.json", "b.json")]
+def names_in(table: str) -> list[str]:
+    return [line.split(" |")[0] for line in table.split("\n")[2:]]
 
 
 def signed(content: dict[str, Any]) -> dict[str, Any]:
@@ -178,28 +173,26 @@ def test_without_all_episodes_there_is_no_result_and_the_user_knows_why(
 
 
 def test_a_suite_in_shards_gives_the_result_of_a_single_run(
-    toy: str, result: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    toy: str, played: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    line = ["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(tmp_path / "shards")]
-    for shard in ("1/2", "2/2"):
-        assert cli.main([*line, "--shard", shard]) == 0
-        assert f"shard {shard}" in capsys.readouterr().out
-        assert not (tmp_path / "shards" / f"{toy}.json").exists()
+    """With the episodes that are there already."""
+    out = shutil.copytree(played[0].parent, tmp_path / "out")
+    (out / f"{toy}.json").unlink()
+    line = ["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(out)]
+    assert cli.main([*line, "--shard", "1/2"]) == 0
+    assert "shard 1/2" in capsys.readouterr().out
+    assert not (out / f"{toy}.json").exists()
     assert cli.main(line) == 0
-    assert read_submission(tmp_path / "shards" / f"{toy}.json")["results"] == read_submission(result)["results"]
-
-
-def test_an_unknown_suite_is_refused_with_a_suggestion(capsys: pytest.CaptureFixture[str]) -> None:
-    assert cli.main(["evaluate", "nearest", "--suite", "active-v2"]) == 2
-    assert "did you mean 'active-v1'" in capsys.readouterr().err
+    assert read_submission(out / f"{toy}.json")["results"] == read_submission(played[0])["results"]
 
 
 def test_a_task_is_evaluated_with_known_correspondences_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = "evaluate nearest --task ActiveCheapRobot-v0 --known --split validation --episodes 1 --max-steps 30 --out"
+    line = "evaluate nearest --task ActiveCheapRobot-v0 --known --split validation --episodes 1 --max-steps 12 --out"
     assert cli.main([*line.split(), str(tmp_path)]) == 0
     said = capsys.readouterr().out
     assert "split of `ActiveCheapRobot-v0`" in said
     assert "nearest, known correspondences" in said
     assert "The effect of known correspondences" in (tmp_path / "page.md").read_text()
-    assert cli.main(["evaluate", "nearest", "--task", "ActiveHall-v0"]) == 2
-    assert "did you mean 'ActiveHalls-v0'" in capsys.readouterr().err
+    for words, guess in (("--task ActiveHall-v0", "ActiveHalls-v0"), ("--suite active-v2", "active-v1")):
+        assert cli.main(["evaluate", "nearest", *words.split()]) == 2
+        assert f"did you mean '{guess}'" in capsys.readouterr().err
