@@ -48,37 +48,6 @@ def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
     assert not list(temporary.iterdir())
 
 
-@needs_git
-def test_an_interrupted_comparison_removes_the_copy(temporary: Path) -> None:
-    def interrupted() -> None:
-        with checkout("HEAD") as tree:
-            assert (tree / "mecp_env" / "__init__.py").is_file()
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        interrupted()
-    assert not list(temporary.iterdir())
-
-
-@needs_git
-@pytest.mark.parametrize("line", [["speed", "--against", "nosuch"], ["start", "--against", "--output=x"]])
-def test_a_wrong_commit_is_named(line: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        command.main([line[0], f"--against={line[2]}"])
-    assert ended.value.code == 2
-    assert f"--against {line[2]}: no such commit" in capsys.readouterr().err.splitlines()[-1]
-
-
-@pytest.mark.parametrize(
-    "line",
-    [["features", "--against", "HEAD"], ["speed", "--against", "HEAD", "--gate"], ["speed", "--sweeps", "1"]],
-)
-def test_options_without_a_meaning_end_with_2(line: list[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        command.main(line)
-    assert ended.value.code == 2
-
-
 def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
     with TreeWorker("old tree", WORKING_TREE, "backwards", "1") as worker:
         with pytest.raises(
@@ -93,6 +62,14 @@ def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
 def test_a_package_from_elsewhere_is_an_error(tmp_path: Path) -> None:
     with TreeWorker("empty tree", tmp_path, "random", "1") as worker, pytest.raises(TreeError, match="empty tree: "):
         worker.check_package()
+
+
+@needs_git
+def test_an_interrupted_comparison_removes_the_copy(temporary: Path) -> None:
+    copy = checkout("HEAD")
+    assert (copy.__enter__() / "mecp_env" / "__init__.py").is_file()
+    assert not copy.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
+    assert not list(temporary.iterdir())
 
 
 def block(seconds: float, *, compiled: bool = False, digest: str = "a") -> dict[str, object]:
@@ -130,23 +107,6 @@ def test_the_cost_of_a_command_includes_what_outlives_it() -> None:
     assert cost["cpu_s"] > 0.4 or sys.platform != "linux"
 
 
-def test_the_first_start_counts_the_files_of_an_empty_cache(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
-    code = "import os, pathlib; pathlib.Path(os.environ['NUMBA_CACHE_DIR'], 'f.nbi').touch(); print('hello')"
-    monkeypatch.setattr(start, "command", lambda mode: [sys.executable, "-c", code])
-    figures = start.run(Options(quick=True))
-    assert figures["cache_files"] == 1
-    assert figures["cpu_s"]["value"] > 0.0
-    assert "| working tree |" in start.report(figures)
-    assert not list(temporary.iterdir())
-
-
-def test_a_first_start_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
-    monkeypatch.setattr(start, "command", lambda mode: [sys.executable, "-c", "raise SystemExit('no such layout')"])
-    with pytest.raises(TreeError, match=r"(?s)old: the first start failed.*no such layout"):
-        start.first_start("old", WORKING_TREE)
-    assert not list(temporary.iterdir())
-
-
 def test_the_command_prints_a_tree_error_in_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -157,3 +117,16 @@ def test_the_command_prints_a_tree_error_in_one_line(
     monkeypatch.setattr(against, "run", fail)
     assert command.main(["speed", "--against", "HEAD"]) == 1
     assert capsys.readouterr().err == "python -m benchmarks: old: broken\n"
+
+
+def test_the_first_start_counts_the_files_of_an_empty_cache(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
+    code = "import os, pathlib; pathlib.Path(os.environ['NUMBA_CACHE_DIR'], 'f.nbi').touch(); print('hello')"
+    monkeypatch.setattr(start, "command", lambda mode: [sys.executable, "-c", code])
+    figures = start.run(Options(quick=True))
+    assert figures["cache_files"] == 1
+    assert figures["cpu_s"]["value"] > 0.0
+    assert "| working tree |" in start.report(figures)
+    monkeypatch.setattr(start, "command", lambda mode: [sys.executable, "-c", "raise SystemExit('no such layout')"])
+    with pytest.raises(TreeError, match=r"(?s)old: the first start failed.*no such layout"):
+        start.first_start("old", WORKING_TREE)
+    assert not list(temporary.iterdir())

@@ -6,7 +6,6 @@ import dataclasses
 import importlib.util
 import sys
 from types import SimpleNamespace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -80,6 +79,11 @@ def test_pairs_are_those_that_fit_at_the_pose_found(
     stand_in(monkeypatch, seen.T_map_robot, valid=False)
     assert count(drive, finished, ON_PAIRS, seen, ERRORS)["pairs"] == 0
 
+    unasked = stand_in(monkeypatch, seen.T_map_robot)  # without two pairs to solve
+    far = dataclasses.replace(seen, T_map_robot=np.array([500.0, 500.0, 0.0]))
+    assert count(drive, finished, ON_PAIRS, far, np.zeros((1, 3)))["pairs"] == 0
+    assert not unasked.given
+
 
 def test_the_walls_are_given_high_and_from_the_predicted_pose(
     monkeypatch: pytest.MonkeyPatch,
@@ -97,31 +101,6 @@ def test_the_walls_are_given_high_and_from_the_predicted_pose(
     assert len(scan) == layers * seen.beams.hit.sum()
     nearest = [np.hypot(*(walls[:, :2] - point[:2]).T).min() for point in scan[:: 10 * layers]]
     assert np.median(nearest) < 0.1  # both clouds are in the robot's frame
-
-
-def test_nothing_is_paired_without_two_pairs_to_solve(
-    monkeypatch: pytest.MonkeyPatch,
-    drive: Drive,  # noqa: F811
-    finished: loop.Finished,  # noqa: F811
-) -> None:
-    seen = loop.look(drive, finished, 100)
-    matcher = stand_in(monkeypatch, seen.T_map_robot)
-    associator = loop.associator_of(KISS[ON_PAIRS], drive.slam)
-    far = dataclasses.replace(seen, T_map_robot=np.array([500.0, 500.0, 0.0]))
-    assert loop.count_scans(finished, associator, [far], SIGMA, np.zeros((1, 3)))["pairs"] == 0
-    assert not matcher.given
-
-
-@needs_kiss
-def test_most_scans_are_right_at_a_rough_pose(drive: Drive, finished: loop.Finished) -> None:  # noqa: F811
-    looks = [loop.look(drive, finished, step) for step in range(20, len(drive.scans), 10)]
-    errors = np.random.default_rng(0).normal(size=(len(looks), 3))
-
-    def right(variant: Any) -> int:
-        return int(loop.count_scans(finished, loop.associator_of(variant, drive.slam), looks, WIDE, errors)["right"])
-
-    assert right(KISS[ON_PAIRS]) >= 0.9 * len(looks)
-    assert right(KISS[ON_PAIRS]) >= right(KISS[ON_POINTS])
 
 
 def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(

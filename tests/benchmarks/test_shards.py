@@ -104,8 +104,10 @@ def test_shards_give_the_figures_of_a_single_run(experiment: tuple[Any, dict[str
 
 
 def figures(module: Any, folder: Path, **options: Any) -> str:
-    """The figures of a run as text, without what the clock says."""
+    """The figures of a run as text, without what the clock says; they have a page, and a picture where there is one."""
     run = module.run(Options(folder=folder, records=folder / "records", **options))
+    assert module.report(run).count("|") > 10
+    assert not hasattr(module, "figure") or module.figure(run).axes
     return json.dumps(untimed(run), sort_keys=True)
 
 
