@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
 import sys
 import tempfile
 from pathlib import Path
@@ -11,10 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from benchmarks import __main__ as command
 from benchmarks import against, in_tree, start
 from benchmarks.common import Options
-from benchmarks.trees import WORKING_TREE, TreeError, TreeWorker, checkout
+from benchmarks.trees import WORKING_TREE, TreeError, TreeWorker
 from mecp_env.planning.breadth_first import BreadthFirst
 
 needs_git = pytest.mark.skipif(not (WORKING_TREE / ".git").exists(), reason="not in a git clone")
@@ -58,20 +55,6 @@ def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
             worker.call("reset", 0)
 
 
-@pytest.mark.slow
-def test_a_package_from_elsewhere_is_an_error(tmp_path: Path) -> None:
-    with TreeWorker("empty tree", tmp_path, "random", "1") as worker, pytest.raises(TreeError, match="empty tree: "):
-        worker.check_package()
-
-
-@needs_git
-def test_an_interrupted_comparison_removes_the_copy(temporary: Path) -> None:
-    copy = checkout("HEAD")
-    assert (copy.__enter__() / "mecp_env" / "__init__.py").is_file()
-    assert not copy.__exit__(KeyboardInterrupt, KeyboardInterrupt(), None)
-    assert not list(temporary.iterdir())
-
-
 def block(seconds: float, *, compiled: bool = False, digest: str = "a") -> dict[str, object]:
     return {"steps": 10, "seconds": seconds, "over": False, "compiled": compiled, "digest": digest}
 
@@ -95,28 +78,6 @@ def test_the_driver_chooses_as_the_breadth_first_explorer() -> None:
         goals[:, in_tree.VALID] = np.arange(32) < rng.integers(0, 33)
         mask = goals[:, in_tree.VALID] > 0.5
         assert in_tree.breadth_first(goals, mask) == policy.act({"goals": goals}, mask)
-
-
-def test_the_cost_of_a_command_includes_what_outlives_it() -> None:
-    burn = "import time\nwhile time.process_time() < 0.4: pass"
-    code = f"import subprocess, sys; subprocess.Popen([sys.executable, '-c', {burn!r}])"
-    script = str(Path(start.__file__).with_name("cpu_cost.py"))
-    done = subprocess.run([sys.executable, script, sys.executable, "-c", code], capture_output=True, check=True)
-    cost = json.loads(done.stdout)
-    assert cost["code"] == 0
-    assert cost["cpu_s"] > 0.4 or sys.platform != "linux"
-
-
-def test_the_command_prints_a_tree_error_in_one_line(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    def fail(options: Options) -> None:
-        raise TreeError("old: broken")
-
-    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
-    monkeypatch.setattr(against, "run", fail)
-    assert command.main(["speed", "--against", "HEAD"]) == 1
-    assert capsys.readouterr().err == "python -m benchmarks: old: broken\n"
 
 
 def test_the_first_start_counts_the_files_of_an_empty_cache(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:

@@ -191,17 +191,6 @@ def test_every_filter_gets_the_same_drive(small: None, tmp_path: Path) -> None:
     assert "## skid_steer (1 drives)" in consistency.report(figures)
 
 
-def test_measurements_are_those_of_true_corners(small: None) -> None:
-    drive = consistency.course("per_metre", 0).drive()
-    record, path, corners = consistency.measured(drive)
-    assert len(record.sightings) == len(path) == len(record.motions) + 1
-    for sighting, T_map_robot in zip(record.sightings, path, strict=True):
-        assert len(set(sighting.ids.tolist())) == len(sighting.ids)
-        errors = measurement(T_map_robot, corners[sighting.ids], sighting.z)[0] if len(sighting.ids) else np.zeros(1)
-        assert np.abs(errors).max() < 0.3
-    assert sum(len(sighting.ids) for sighting in record.sightings) > 3 * len(path)
-
-
 def test_only_steps_with_slip_are_allowed_more() -> None:
     assert consistency.band(60) == (pytest.approx(2.41, abs=0.01), pytest.approx(3.65, abs=0.01))
     motion = Motion(make.odometry((1.0, 0.0)), np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4)

@@ -111,19 +111,6 @@ def test_a_run_continues_and_shards_add_up_to_it(tmp_path: Path) -> None:
     assert results == [cube(unit) for unit in UNITS]
 
 
-def test_progress_counts_what_is_left_of_this_run(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    common.in_parallel(cube, float, UNITS[:2], Options(folder=tmp_path))
-    assert capsys.readouterr().err == "1 of 2 units, 0.0 min left\n2 of 2 units, 0.0 min left\n"
-    common.in_parallel(cube, float, UNITS, Options(folder=tmp_path))
-    assert [line[:6] for line in capsys.readouterr().err.splitlines()] == ["1 of 3", "2 of 3", "3 of 3"]
-
-
-def test_results_are_grouped_by_all_but_the_number_of_their_unit() -> None:
-    units = [("a", 0), ("a", 1), ("b", 0)]
-    assert common.grouped(units, [5, 6, 7]) == {"a": [5, 6], "b": [7]}
-    assert common.grouped([("a", "x", 0), ("a", "y", 0)], [5, 6]) == {("a", "x"): [5], ("a", "y"): [6]}
-
-
 @pytest.fixture
 def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., types.ModuleType]:
     """Puts a benchmark in the place of another one; results and units go to a temporary folder."""
@@ -182,25 +169,21 @@ def test_the_command_writes_figures_and_page_and_gates_against_them(
 @pytest.mark.parametrize(
     ("line", "named"),
     [
-        ("unknown", "unknown"),
         ("", "name"),
         ("speed --jobs 0", "expected at least 1"),
         ("worlds --shard 3/2", "1 <= NUMBER <= COUNT"),
         ("speed --shard 1/2", "--shard: speed is measured whole"),
-        ("worlds --sets easy:x", "easy:x"),
         ("worlds --sets easy:1001", "a count from 1 to 1000"),
+        ("returns --buildings 1001", "--buildings 1001"),
         ("worlds --sets tiny", "expected one of easy"),
         ("features --sets easy", "--sets: features is measured whole"),
         ("features --against HEAD", "--against: only for speed and start"),
-        ("speed --against HEAD --gate", "--against: only for speed and start"),
         ("speed --against nosuch", "--against nosuch: no such commit"),
-        ("start --against --output=x", "--against"),
         ("speed --sweeps 1", "--sweeps: only for speed --against"),
         ("noise --buildings 3", "--task, --policies, --buildings: only for returns and uncertainty"),
         ("speed --records x", "--records: speed replays no drives"),
         (f"loop --records {__file__}", "is a file, not a folder"),
         ("record --sets speed", "expected one of association, association_time, clutter"),
-        ("record --with x", "--with: record compares no associators"),
         ("soak --cluster 127.0.0.1:1", "--cluster: soak runs here; ablation"),
         ("loop --cluster 127.0.0.1:1 --jobs 2", "--jobs 2: with --cluster"),
     ],

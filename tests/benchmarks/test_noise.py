@@ -68,20 +68,3 @@ def test_every_cell_has_drives_a_gate_its_figure_and_the_figure_its_cells() -> N
     assert {gate.path.split("/")[0] for gate in noise.GATES} <= set(noise.CELLS)
     assert {cell for cells in noise.AXES.values() for cell in cells} == set(noise.CELLS)
     assert {noise.source(cell) for cell in noise.CELLS} == set(noise.RECORDED)
-
-
-def test_every_variant_gives_all_figures_on_the_same_drive(drive: Drive, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(noise, "recorded", lambda *_: drive)
-    figures = {
-        cell: {name: noise.summarise([row, row]) for name, row in noise.compare((cell, 0)).items()}
-        for cell in ("odometry_x1", "view_180_deg")
-    }
-    default = figures["odometry_x1"]["mecp"]
-    assert default["precision"]["value"] > 0.99
-    assert default["rmse_m"]["value"] < 0.05
-    assert default["lost"]["value"] == 0.0
-    assert default["associate_ms"]["value"] > 0.0
-    assert figures["odometry_x1"]["known"]["precision"]["value"] == 1.0
-    assert figures["view_180_deg"]["mecp"] != default
-    assert "## view_180_deg (2 drives)" in noise.report(figures)
-    assert {gate.path.split("/")[2] for gate in noise.GATES} <= default.keys()

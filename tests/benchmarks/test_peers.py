@@ -31,6 +31,14 @@ def test_our_speed_is_divided_by_that_of_the_peer(monkeypatch: pytest.MonkeyPatc
     assert faces == 98  # the walls of the layout
 
 
+def test_our_blocks_go_on_in_a_new_episode() -> None:
+    drive = peers.Ours(1, "random")
+    for _ in range(2):
+        steps, seconds = drive()
+        assert steps > 0
+        assert seconds > 0.0
+
+
 @pytest.mark.parametrize("kind", [peers.MiniGrid, peers.IrSim])
 def test_a_block_of_a_peer_has_its_steps(kind: type[peers.MiniGrid | peers.IrSim]) -> None:
     pytest.importorskip(kind.package)

@@ -85,20 +85,17 @@ def test_wrong_input_is_refused(tmp_path, capsys):
 
 @pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])
 def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path, capsys, monkeypatch):
-    weights = tmp_path / "weights"
+    weights, run = tmp_path / "weights", make_run(tmp_path / "b", [0.6])
     assert main(PublishOptions((make_run(tmp_path / "a", [0.5]),), weights)) == 0
-    before = shipped(weights)
-    run = make_run(tmp_path / "b", [0.6])
-    if wrong == "large":
-        monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100)
-    elif wrong == "flipped":
-        path = next(run.glob("policy-*"))
-        path.write_bytes(path.read_bytes()[:-1] + b"x")
+    before, policy = shipped(weights), next(run.glob("policy-*"))
+    if wrong == "flipped":
+        policy.write_bytes(policy.read_bytes()[:-1] + b"x")
     elif wrong == "elsewhere":
-        (run / "policy.json").write_text(json.dumps({"algorithm": "maskable_ppo", "file": "../x", "sha256": "0"}))
+        write_json(run / "policy.json", {"algorithm": "maskable_ppo", "file": "../x", "sha256": "0"})
     elif wrong == "incomplete":
         (run / "run.json").unlink()
-    into = run / "run.json" if wrong == "no folder" else weights
-    assert main(PublishOptions((weights / "maskable_ppo" if wrong == "itself" else run,), into)) == 2
+    monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100 if wrong == "large" else 10**9)
+    runs = (weights / "maskable_ppo" if wrong == "itself" else run,)
+    assert main(PublishOptions(runs, run / "run.json" if wrong == "no folder" else weights)) == 2
     assert "mecp-env: " in capsys.readouterr().err
     assert shipped(weights) == before

@@ -17,7 +17,7 @@ from benchmarks import __main__ as command
 from benchmarks import association, kidnap, noise, record, record_file
 from benchmarks.common import Options
 from benchmarks.drives import Drive, replay
-from benchmarks.record_file import HEADER, RecordError, load_header, load_record, save_record
+from benchmarks.record_file import HEADER, RecordError, load_record, save_record
 from benchmarks.records import Course, Records, read_drive
 
 SHORT = Course("two_rooms", 3, {"estimator": "truth", "max_steps": 12})
@@ -77,28 +77,6 @@ def test_sensors_and_buildings_of_every_kind_come_back(course: Course, tmp_path:
     assert again.truth.T_robot_laser.tolist() == drive.truth.T_robot_laser.tolist()
     assert again.truth.sees_all_around == drive.truth.sees_all_around
     assert results[0].log.rows[: results[0].log.used].tolist() == results[1].log.rows[: results[1].log.used].tolist()
-
-
-def test_an_experiment_on_records_has_the_figures_of_one_that_drives(tmp_path: Path) -> None:
-    def rows(records: Records) -> str:
-        of_all = association.compare(("two_rooms", 0), records)
-        return json.dumps({name: of | {"associate_ms": 0.0} for name, of in of_all.items()})
-
-    assert rows(Records(tmp_path)) == rows(Records())
-    assert [file.name for file in tmp_path.iterdir()] == [association.course("two_rooms", 0).file]
-
-
-def test_numpy_alone_reads_a_record_and_its_header_names_all(made: Path) -> None:
-    with np.load(made, allow_pickle=False) as archive:
-        header = json.loads(archive[HEADER].tobytes())
-        assert archive["ranges"].shape == (15, 4, 720)
-    assert (header["format"], header["version"]) == ("mecp_env record", 1)
-    assert header["course"] == dataclasses.asdict(SHORT)
-    assert header["layout"]["name"] == "two_rooms"
-    assert header["lengths"] == {"scans": 15, "sweeps": 4, "beams": 720, "readings": 48}
-    assert {"checksum of the code", "numpy", "numba", "machine"} <= header["made_by"].keys()
-    assert header["content"] == load_header(made)[1]
-    assert len(header["content"]) == 64
 
 
 def packed(arrays: dict[str, Any]) -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -79,16 +78,6 @@ def test_every_point_changes_its_field_of_every_task() -> None:
             assert config.laser.max_range_m == changes.get("laser", {}).get("max_range_m", own)
             assert config.odometry.preset == TASKS[task]["odometry"]["preset"]
             assert (point == BASE) == (not changes)
-
-
-def test_an_episode_runs_and_another_run_finds_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(TASKS, "ActiveHalls-v0", TASKS["ActiveHalls-v0"] | {"max_steps": 10})
-    options = Options(quick=True, sets=("odometry_x4",), policies=("nearest",), folder=tmp_path)
-    figures = uncertainty.run(options)
-    assert 0.0 < figures["points"]["odometry_x4"]["nearest"]["slam"][METRIC]["value"] < 0.5
-    assert len(list(tmp_path.glob("*.json"))) == 3
-    monkeypatch.setattr(uncertainty, "episode", None)
-    assert uncertainty.run(replace(options, policies=("nearest", "nearest"))) == figures
 
 
 def test_wrong_options_are_refused() -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 import subprocess
 import sys
@@ -13,13 +12,12 @@ import numpy as np
 import pytest
 import shapely
 from PIL import Image
-from rich.console import Console
 
 import mecp_env
 from mecp_env.cli import main as cli
 from mecp_env.cli.demo import Demo
 from mecp_env.cli.options import Fields, configuration
-from mecp_env.cli.runs import BESIDE, Bar, Run, print_figures, status
+from mecp_env.cli.runs import Run
 from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
@@ -101,18 +99,6 @@ def test_a_folder_of_a_run_is_told_as_that_and_its_map_is_not_overwritten(kept: 
         assert err.endswith(said)
         assert err.count("\n") == 1
     assert (kept / "belief.pgm").read_bytes() == before
-
-
-def test_one_of_a_kind_is_told_as_one_and_progress_in_80_columns(kept: Path, capsys: Said) -> None:
-    print_figures("", metrics_of(kept) | {"duplicates": 1.0, "contacts": 1.0}, kept)
-    said = capsys.readouterr().out
-    assert "duplicates 1 " in said
-    assert "contacts 1 " in said
-    metrics = {"rooms_found": 12, "rooms": 12, "doors_found": 12, "doors": 12, "coverage": 1.0, "pose_error_m": 1.234}
-    out = io.StringIO()
-    with Bar("exploring", 1.0, *BESIDE, console=Console(file=out, width=80, force_terminal=True)) as bar:
-        bar.show(10, lambda: (1.0, status(metrics, 12345.0)))
-    assert "rooms 12/12 doors 12/12 seen 100.0% error 123.4 cm 12,345 steps/s" in out.getvalue()
 
 
 def test_a_demo_whose_reader_is_gone_keeps_its_files(tmp_path: Path, capsys: Said) -> None:

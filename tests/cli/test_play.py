@@ -11,10 +11,9 @@ import pytest
 
 from mecp_env.cli import main as cli
 from mecp_env.cli.buildings import expand
-from mecp_env.cli.play import KEYS, Game, later
+from mecp_env.cli.play import Game, later
 from mecp_env.env import MecpEnv
 from mecp_env.render import palette
-from mecp_env.render.window import HEIGHT, key_strip
 from mecp_env.world.layout import load_layout
 
 Said = pytest.CaptureFixture[str]
@@ -127,13 +126,6 @@ def test_a_picture_is_kept_or_the_window_says_why_not(game: Game, tmp_path: Path
     game.folder, game.view = tmp_path / "pictures", replace(game.view, title="../../up, slam, step 3")
     press(game, pygame.K_p)
     assert {path.name for path in (tmp_path / "pictures").iterdir()} == {picture.name, "up-slam-step-3.png"}
-
-
-def test_every_key_is_listed_in_the_strip() -> None:
-    strip = key_strip(1200, KEYS, "message")
-    assert strip.shape == (HEIGHT, 1200, 3)
-    assert (strip[:, 1100:] == palette.PAPER).all(axis=2)[5:].all()  # nothing is cut off at the right
-    assert (strip[:30] != palette.PAPER).any(axis=2).sum() > 3000
 
 
 def test_a_drive_from_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: Said) -> None:

@@ -185,6 +185,7 @@ DAMAGE: dict[str, Callable[[bytes], bytes]] = {
     "cut": lambda data: data[:-20],
     "binary": lambda data: b"\x00\xff\xfe" * 9,
     "a list": lambda data: b"[1]",
+    "another program": changed(format="other"),
     "no run": changed(run=None),
     "a run of another kind": changed(run=[1]),
     "no result": changed(result=None),

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
@@ -33,15 +33,6 @@ from tests.slam import make
 ROOT = Path(__file__).parents[2]
 PAGE_PX, LEAST_PX = 736.0, 8.0  # width of the text of a page of the site
 LEAST_CONTRAST = 4.5
-SIGHTS = {  # Machado, Oliveira, Fernandes 2009, severity 1
-    "all colours": np.eye(3),
-    "protanopia": np.array(
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    ),
-    "deuteranopia": np.array(
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-    ),
-}
 
 
 def smallest_px(figure: Figure) -> float:
@@ -101,6 +92,7 @@ def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as
         assert smallest_px(figure) >= LEAST_PX, name
     lines = [line for line in panels.axes[0].get_lines() if line.get_marker() not in ("_", "|")]
     assert len({(line.get_marker(), line.get_linestyle()) for line in lines}) == 6
+    assert len(set(palette.SERIES)) == len(palette.MARKERS)
     for marks in ([mark for _, mark in DECISIONS.values()], [mark for mark, _ in KINDS.values()], palette.MARKERS):
         assert len(set(marks)) == len(marks)
 
@@ -141,21 +133,6 @@ def test_polygons_of_a_scan_that_overlap_are_no_darker() -> None:
     light = 255.0 * np.array(to_rgb(palette.unit(palette.mix(palette.ROOMS[0], palette.FREE, 0.85))))
     shown = np.abs(pixels(stages()["polygon"]) - light).max(axis=2) < 1.5
     assert shown.mean() > 0.01
-
-
-def as_seen(colours: Array, sight: Array) -> Array:
-    """Colours (n,3) 0..1 as the colour-blind see them: a matrix on linear light."""
-    light = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(light @ sight.T, 0.0, 1.0)
-    return np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
-
-
-@pytest.mark.parametrize("sight", SIGHTS)
-def test_series_are_apart_for_the_colour_blind(sight: str) -> None:
-    colours = as_seen(np.array(palette.SERIES[:6]) / 255.0, SIGHTS[sight])
-    gaps = [np.linalg.norm(a - b) for k, a in enumerate(colours) for b in colours[:k]]
-    assert min(gaps) > 0.2
-    assert len({to_hex(palette.unit(colour)) for colour in palette.SERIES}) == len(palette.MARKERS)
 
 
 def test_a_label_is_readable_on_a_wall_and_on_a_floor() -> None:

@@ -56,17 +56,6 @@ def test_text_and_marks_have_contrast_in_both_themes() -> None:
     assert not set(shapes) & {"star", "hexagon"}  # of goals
 
 
-def test_every_colour_is_a_property_of_the_style_sheet() -> None:
-    texts = sources()
-    rules = re.sub(r":root \{.*?\}", "", texts["style.css"], flags=re.DOTALL)
-    for name, text in {**texts, "style.css": rules}.items():
-        assert not re.findall(r"(?<!&)#[0-9a-fA-F]{3,8}\b(?!=)", text), name
-    used = {*re.findall(r"var\(--([\w-]+)\)", rules), *re.findall(r"INK\.(\w+)", texts["player.js"])}
-    assert used <= themes()["light"].keys()
-    text_colours = set(re.findall(r"[ ;{]color: var\(--([\w-]+)\)", rules))
-    assert text_colours <= {text for text, _ in TEXT_ON}
-
-
 CONTRASTS = """(() => {
   const found = [];
   const walk = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
