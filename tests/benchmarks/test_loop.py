@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 
 from benchmarks import loop
-from benchmarks.common import Figures
 from benchmarks.drives import Drive, record_drive
-from benchmarks.tables import flatten
 
 
 @pytest.fixture(scope="module")
@@ -21,27 +19,6 @@ def drive() -> Drive:
 @pytest.fixture(scope="module")
 def finished(drive: Drive) -> loop.Finished:
     return loop.finish(drive)
-
-
-@pytest.fixture(scope="module")
-def figures() -> Figures:
-    counted = loop.compare(("two_rooms", 6, 0))
-    return {"two_rooms": loop.summarise([counted, counted])}
-
-
-def test_a_good_prior_is_enough_and_no_variant_is_right_where_it_is_impossible(figures: Figures) -> None:
-    for variant, cells in figures["two_rooms"].items():
-        for cell in cells.values():
-            assert cell["scans"] == 12
-            assert cell["right"]["value"] <= cell["possible"]["value"]
-        if variant.startswith("mecp ") or variant == loop.DEFAULT:
-            assert cells["0.05 m 0.5 deg"]["right"]["value"] > 0.8
-    assert all(cell["polygon"]["value"] == 0.0 for cell in figures["two_rooms"]["mecp without polygons"].values())
-    page = loop.report(figures)
-    assert "## two_rooms (2 drives, 12 scans per cell)" in page
-    assert all(f"| {variant} |" in page for variant in loop.VARIANTS)
-    paths = flatten(dict.fromkeys(("paper", "hard"), figures["two_rooms"]))
-    assert all(gate.path in paths for gate in loop.GATES)
 
 
 def test_two_passes_are_worth_something_at_a_wide_prior_and_nothing_at_a_sharp_one(

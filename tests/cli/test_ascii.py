@@ -12,7 +12,7 @@ import pytest
 from mecp_env.cli import main as cli
 from tests.command_lines import ROOT
 
-pytestmark = pytest.mark.usefixtures("draft_figures")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 LINES = (
     "worlds stats paper",

@@ -101,6 +101,7 @@ def test_a_folder_of_a_run_is_told_as_that_and_its_map_is_not_overwritten(kept: 
     assert (kept / "belief.pgm").read_bytes() == before
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_demo_whose_reader_is_gone_keeps_its_files(tmp_path: Path, capsys: Said) -> None:
     """`demo | head -1` once ended at the first line that it could not print, and wrote nothing."""
     (tmp_path / "replay.html").write_text("of an earlier run")
@@ -138,6 +139,7 @@ def test_a_full_disk_names_the_file_and_keeps_the_data(
     assert name == "metrics.json" or {p.name for p in tmp_path.iterdir()} >= DATA
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_the_run_can_be_watched_and_an_interruption_keeps_what_there_is(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,8 @@ import pytest
 from mecp_env.cli.main import main
 from mecp_env.render.replay import read_page
 
+pytestmark = pytest.mark.usefixtures("draft_figures")
+
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:

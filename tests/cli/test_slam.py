@@ -152,6 +152,7 @@ def test_a_mirrored_laser_is_named_and_mended(
     assert metrics_of(tmp_path / "b")["ate_m"] < 0.05
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
     line = (
         "--odometry reference --seed 3 --config.sensor.range-sigma-m 0.07 --noise.scale 0.5 --rest-m 0.3 --rest-deg 40"
@@ -165,6 +166,7 @@ def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
     assert metrics_of(tmp_path)["counts"]["scans at rest, skipped"] > 5
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_truncated_log_is_mapped_as_far_as_it_goes_and_two_topics_reach_the_reader(
     tmp_path: Path, capsys: Said
 ) -> None:
@@ -200,6 +202,7 @@ def test_what_cannot_be_mapped_is_one_line(log: Path, kept: Path, tmp_path: Path
         assert not (tmp_path / "run").exists()
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_a_run_that_used_few_scans_fails_with_what_to_try(log: Path, tmp_path: Path, capsys: Said) -> None:
     with np.load(log) as whole:
         still = {name: np.repeat(whole[name][:1], 20, axis=0) for name in ("ranges", "odo", "ref")}
@@ -215,6 +218,7 @@ def test_a_run_that_used_few_scans_fails_with_what_to_try(log: Path, tmp_path: P
     assert metrics_of(tmp_path / "b")["counts"]["scans at rest, skipped"] == 19
 
 
+@pytest.mark.usefixtures("blank_figures")
 def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     step, steps = SlamPipeline.step, []
 

@@ -163,8 +163,6 @@ def test_what_is_written_can_be_read_however_well_it_packs(path: Path) -> None:
         {"@object": ["mecp_env.cli.main:Command", {}]},
         {"@keep": 3},
         {"@frozen": [1]},
-        {"@array": [["a", {}], True]},
-        {"@scalar": [None]},
     ],
 )
 def test_only_our_classes_and_kinds_are_made(data: Any) -> None:

@@ -61,13 +61,13 @@ def test_the_picture_shows_walls_floors_doors_furniture_and_starts(tmp_path: Pat
     assert any(len(shape) > 1 for shape in plan.walls)  # solid, with holes that leave the floor to be seen
     for ending in (".png", ".svg"):
         for name in ("a", "b"):
-            save_plans([floor_plan(layout), plan], tmp_path / f"{name}{ending}", dpi=40)
+            save_plans([plan], tmp_path / f"{name}{ending}", dpi=30)
         assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
 
 
 def test_a_sheet_has_a_place_for_every_plan() -> None:
     plan = floor_plan(load_layout("two_rooms"))
-    for count in (1, 2, 5, 9):
+    for count in (1, 5):
         figure = plans_figure([plan] * count)
         boxes = [axes.get_position() for axes in figure.axes]
         assert len(boxes) == count
