@@ -172,13 +172,13 @@ def test_a_truncated_log_is_mapped_as_far_as_it_goes_and_two_topics_reach_the_re
 ) -> None:
     path = write_carmen(tmp_path / "a.log")
     path.write_bytes(path.read_bytes()[:-300])
-    assert cli.main(["slam", str(path), "--out", str(tmp_path / "a")]) == 0
+    assert cli.main(["slam", str(path), "--out", str(tmp_path / "a"), "--noise", "paper"]) == 0
     assert "counted: 1 damaged lines" in capsys.readouterr().out
     assert metrics_of(tmp_path / "a")["counts"] == {"damaged lines": 1}
     assert not (tmp_path / "a" / "truth.tum").exists()
     pytest.importorskip("rosbags")
     bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
-    line = ["slam", str(bag), "--out", str(tmp_path / "b")]
+    line = ["slam", str(bag), "--out", str(tmp_path / "b"), "--noise", "paper"]
     assert cli.main(line) == 2
     assert cli.main([*line, "--scan-topic", "/front", "--scan-topic", "/rear"]) == 0
 
@@ -230,7 +230,7 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
 
     monkeypatch.setattr(SlamPipeline, "step", interrupted)
     out, saved = tmp_path / "run", tmp_path / "map.zip"
-    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 130
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved), "--noise", "paper"]) == 130
     assert metrics_of(out)["ended"] == "interrupted"
     assert metrics_of(out)["scans"] == 20
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
