@@ -58,7 +58,7 @@ def test_the_example_selects_as_the_policy_of_the_package() -> None:
 
 
 def test_evaluation_prints_the_means(launcher: Launcher, tmp_path: Path) -> None:
-    printed = run_script(launcher, "evaluate", tmp_path, "--difficulty", "easy", "--episodes", "2", "--max-steps", "30")
+    printed = run_script(launcher, "evaluate", tmp_path, "--difficulty", "easy", "--episodes", "2", "--max-steps", "10")
     assert "building   1: coverage" in printed
     assert "mean coverage" in printed
 

@@ -7,20 +7,18 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks import clutter, records
+from benchmarks import clutter
 from benchmarks.clutter import ClutteredPipeline, cluttered
-from benchmarks.common import Figures, OptionError, Options
+from benchmarks.common import OptionError, Options
 from benchmarks.drives import Drive, replay
 from benchmarks.loop import front_end
 from benchmarks.records import Course
-from benchmarks.tables import flatten
-from benchmarks.variants import associators, with_change
+from benchmarks.variants import associators
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
 from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
-from tests.slam.drives import fed
 
 
 @pytest.fixture(scope="module")
@@ -42,15 +40,6 @@ def test_no_clutter_is_the_estimator_itself_to_the_bit(drive: Drive) -> None:
         np.testing.assert_array_equal(getattr(plain, name), getattr(changed, name), strict=True)
     rows = [json.dumps(outcome.counts | {"associate_ms": 0.0}) for outcome in (plain, changed)]
     assert rows[0] == rows[1]
-
-
-def test_corners_that_are_kept_are_as_they_were(scans: list[tuple[Corners, MergedScan]]) -> None:
-    for number, (corners, beams) in enumerate(scans):
-        same = cluttered(corners, beams, 1.0, 0.0, np.random.default_rng(number))
-        for name in ("z", "cov", "kind", "convex", "normals", "beyond", "sites"):
-            np.testing.assert_array_equal(getattr(same, name), getattr(corners, name), strict=True)
-        for name in ("jambs", "width", "confirmable"):
-            np.testing.assert_array_equal(getattr(same.doorways, name), getattr(corners.doorways, name))
 
 
 def test_missed_corners_nest_and_their_share_is_as_asked(scans: list[tuple[Corners, MergedScan]]) -> None:
@@ -102,21 +91,9 @@ def test_doors_name_their_jambs_after_corners_are_gone(scans: list[tuple[Corners
             assert found.z[now, 1].tolist() == corners.z[door, 1].tolist()
     assert doors
     assert lost
-
-
-def test_a_scan_without_corners_or_hits_stays_without(scans: list[tuple[Corners, MergedScan]]) -> None:
-    corners, beams = scans[0]
     rng = np.random.default_rng(0)
     assert len(cluttered(corners, beams, 0.0, 0.0, rng)) == 0
     assert len(cluttered(corners, beams.with_hits(np.zeros_like(beams.hit)), 1.0, 1.0, rng)) == len(corners)
-
-
-def test_every_associator_gets_the_same_corners(drive: Drive) -> None:
-    seen: dict[str, list[list[float]]] = {}
-    for name in ("mecp", "nearest"):
-        made = ClutteredPipeline(with_change(drive.slam, associators()[name]), (0.9, 0.2), seed=3)
-        seen[name] = [output.corners.z.ravel().tolist() for output in fed(made, drive, last=20)]
-    assert seen["mecp"] == seen["nearest"]
 
 
 class Own(NearestAssociator):
@@ -129,35 +106,5 @@ def test_registered_associators_have_a_row(monkeypatch: pytest.MonkeyPatch) -> N
     assert {change["association"]["method"] for change in before.values()} == set(config.METHODS.ours)
     register_associator("own_rival", Own)
     assert associators() == before | {"own_rival": {"association": {"method": "own_rival"}}}
-
-
-@pytest.fixture(scope="module")
-def figures() -> Figures:
-    with pytest.MonkeyPatch.context() as patch:
-        for name in ("DRIVES", "CELLS"):
-            patch.setattr(clutter, name, {"DRIVES": {"two_rooms": 2}, "CELLS": clutter.CELLS}[name])
-        patch.setattr(clutter, "associators", lambda: {name: associators()[name] for name in ("mecp", "known")})
-        patch.setattr(records, "in_parallel", lambda task, kind, units, options: [task(unit) for unit in units])
-        return clutter.run(Options())
-
-
-@pytest.mark.slow
-def test_every_cell_has_its_figures_a_table_and_a_place_in_the_figure(figures: Figures) -> None:
-    cells = figures["two_rooms"]
-    assert list(cells) == [clutter.named(*cell) for cell in clutter.CELLS]
-    clean, worst = cells["detection 1, spurious 0 %"], cells["detection 0.8, spurious 30 %"]
-    assert clean["known"]["precision"]["value"] == 1.0
-    assert worst["mecp"]["recall"]["n"] == 2
-    page = clutter.report(figures)
-    assert "## two_rooms (2 drives)" in page
-    assert all(f"| `{metric}`: detection, spurious | 1, 0 % |" in page for metric in clutter.METRICS)
-    assert len(clutter.figure(figures).axes) == 2 * len(clutter.DRAWN)
-    gated = {gate.path.split("/", 1)[1] for gate in clutter.GATES}
-    assert gated <= flatten(cells).keys()
-
-
-def test_wrong_sets_and_modules_are_named() -> None:
-    with pytest.raises(OptionError, match="--sets office: expected one of paper, hard"):
-        clutter.run(Options(sets=("office",)))
     with pytest.raises(OptionError, match="--with no_such_module"):
         clutter.run(Options(modules=("no_such_module",)))

@@ -10,24 +10,6 @@ from mecp_env.logs.log import Log
 from tests.slam.drives import scripted_drive
 
 needs_karto = pytest.mark.skipif(not karto.installed(), reason="extra `lab`")
-RELATION = np.array([[0.0, 1.0, 1.0, 0.0, 0.0]])
-PATH = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]])
-
-
-def line(path: np.ndarray) -> Log:
-    return Log(
-        "line", np.arange(3.0), np.ones((3, 4)), np.linspace(-1.0, 1.0, 4), 5.0, np.zeros(3), path, path, RELATION
-    )
-
-
-def test_both_paths_are_scored_by_the_names_of_the_estimator():
-    off = PATH.copy()
-    off[1, 0] += 0.1
-    found = karto.figures(line(PATH), np.arange(3), karto.KartoRun(off, PATH, 2.0, 1))
-    assert found["karto_final_ate_m"] == pytest.approx(0.0, abs=1e-9)
-    assert found["karto_ate_m"] > 0.03
-    assert found["karto_relations_m"] == found["karto_relations_at_scans_m"] == pytest.approx(0.1)
-    assert (found["karto_ms_per_scan_mean"], found["karto_loops"]) == (2.0, 1)
 
 
 @needs_karto

@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 
 import numpy as np
 import pytest
 
-from benchmarks import loop, records
-from benchmarks.common import Figures, Options
+from benchmarks import loop
 from benchmarks.drives import Drive, record_drive
-from benchmarks.tables import flatten
 
 
 @pytest.fixture(scope="module")
@@ -22,22 +19,6 @@ def drive() -> Drive:
 @pytest.fixture(scope="module")
 def finished(drive: Drive) -> loop.Finished:
     return loop.finish(drive)
-
-
-@pytest.fixture(scope="module")
-def figures() -> Figures:
-    counted = loop.compare(("two_rooms", 6, 0))
-    return {"two_rooms": loop.summarise([counted, counted])}
-
-
-def test_a_good_prior_is_enough_and_no_variant_is_right_where_it_is_impossible(figures: Figures) -> None:
-    for variant, cells in figures["two_rooms"].items():
-        for cell in cells.values():
-            assert cell["scans"] == 12
-            assert cell["right"]["value"] <= cell["possible"]["value"]
-        if variant.startswith("mecp ") or variant == loop.DEFAULT:
-            assert cells["0.05 m 0.5 deg"]["right"]["value"] > 0.8
-    assert all(cell["polygon"]["value"] == 0.0 for cell in figures["two_rooms"]["mecp without polygons"].values())
 
 
 def test_two_passes_are_worth_something_at_a_wide_prior_and_nothing_at_a_sharp_one(
@@ -64,29 +45,3 @@ def test_a_pair_with_another_landmark_is_wrong(drive: Drive, finished: loop.Fini
     spurious = dataclasses.replace(seen, true=np.full_like(seen.true, -1))
     none = loop.count_scans(finished, associator, [spurious], sigma, exact)
     assert (none["right"], none["possible"], none["wrong"]) == (0, 0, counts["pairs"])
-
-
-def test_the_page_and_the_figure_have_every_set_and_variant(figures: Figures) -> None:
-    page = loop.report(figures)
-    assert "## two_rooms (2 drives, 12 scans per cell)" in page
-    assert all(f"| {variant} |" in page for variant in loop.VARIANTS)
-    assert "2 m 20 deg" in page
-    (axes,) = loop.figure(figures).axes
-    assert axes.get_title() == "two_rooms"
-    paths = flatten(dict.fromkeys(("paper", "hard"), figures["two_rooms"]))
-    assert all(gate.path in paths for gate in loop.GATES)
-
-
-def test_quick_runs_and_sets(monkeypatch: pytest.MonkeyPatch) -> None:
-    asked: list[tuple[str, int, int]] = []
-
-    def noted(task: object, kind: object, units: list[tuple[str, int, int]], options: object) -> list[Figures]:
-        asked[:] = units
-        cell = {"scans": 1, "right": 1, "possible": 1, "pairs": 3, "wrong": 0, "polygon": 0, "ms": math.nan}
-        return [{"mecp": {"s": cell}} for _ in units]
-
-    monkeypatch.setattr(records, "in_parallel", noted)
-    assert set(loop.run(Options(quick=True))) == set(loop.SEEDS)
-    assert asked == [(layout, loop.QUICK_SCANS, seed) for layout in loop.SEEDS for seed in (0, 1)]
-    loop.run(Options(sets=("hard:3",)))
-    assert asked == [("hard", loop.SCANS, seed) for seed in range(3)]

@@ -27,6 +27,8 @@ def test_our_speed_is_divided_by_that_of_the_peer(monkeypatch: pytest.MonkeyPatc
             assert values["ratio"]["value"] == pytest.approx(expected)
             assert values["peer_steps_per_s"] == pytest.approx(1000.0)
     assert peers.report(figures).count("| toy |") == 4
+    faces = sum(len(part["shape"]["vertices"]) - 1 for part in peers.world()["obstacle"])
+    assert faces == 98  # the walls of the layout
 
 
 def test_our_blocks_go_on_in_a_new_episode() -> None:
@@ -35,13 +37,6 @@ def test_our_blocks_go_on_in_a_new_episode() -> None:
         steps, seconds = drive()
         assert steps > 0
         assert seconds > 0.0
-
-
-def test_the_world_of_ir_sim_has_the_walls_of_the_layout() -> None:
-    world = peers.world()
-    faces = sum(len(part["shape"]["vertices"]) - 1 for part in world["obstacle"])
-    assert faces == 98
-    assert world["robot"]["sensors"][0]["number"] == peers.BEAMS
 
 
 @pytest.mark.parametrize("kind", [peers.MiniGrid, peers.IrSim])

@@ -40,6 +40,10 @@ def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
     assert found["progress.csv"] == b"a\n"
     assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
     assert load(tmp_path / "weights" / "maskable_ppo").config == load(runs[0]).config
+    picture = tmp_path / "curve.png"
+    assert main(PublishOptions(runs[:1], tmp_path / "none", picture, ship=False)) == 0
+    assert picture.stat().st_size > 1000
+    assert not (tmp_path / "none").exists()
 
 
 def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
@@ -56,52 +60,42 @@ def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
     assert main(PublishOptions((runs[0], make_run(tmp_path / "c", [0.5])), tmp_path / "weights")) == 2
 
 
-def test_only_the_picture(tmp_path):
-    picture = tmp_path / "curve.png"
-    assert main(PublishOptions((make_run(tmp_path / "a", [0.5]),), tmp_path / "weights", picture, ship=False)) == 0
-    assert picture.stat().st_size > 1000
-    assert not (tmp_path / "weights").exists()
-
-
-@pytest.mark.parametrize("wrong", ["none", "missing", "mixed", "empty", "cell", "infinite"])
-def test_wrong_input_is_refused(wrong, tmp_path, capsys):
-    areas = {"empty": [], "cell": [""], "infinite": ["inf"]}
-    first = make_run(tmp_path / "a", areas.get(wrong, [0.5]))
-    more = {"missing": (tmp_path / "none",), "mixed": (make_run(tmp_path / "b", [0.5], "ppo"),)}
-    runs = () if wrong == "none" else (first, *more.get(wrong, ()))
-    assert main(PublishOptions(runs, tmp_path / "weights")) == 2
-    said = capsys.readouterr().err
-    assert "mecp-env: runs: " in said
-    assert "Error" not in said
-
-
-def test_what_is_missing_of_a_run_is_said_without_the_name_of_an_exception(tmp_path, capsys):
-    run = make_run(tmp_path / "a", [0.5])
-    (run / "config.json").unlink()
-    assert main(PublishOptions((run,), tmp_path / "weights")) == 2
-    said = f"mecp-env: runs: {run} is not a run folder: {run / 'config.json'}: No such file or directory\n"
-    assert capsys.readouterr().err == said
-    (run / "config.json").write_text("{}")
-    assert main(PublishOptions((run,), tmp_path / "weights")) == 2
-    assert capsys.readouterr().err == f"mecp-env: runs: {run} is not a run folder: 'algorithm' is missing\n"
+def test_wrong_input_is_refused(tmp_path, capsys):
+    areas = {"good": [0.5], "empty": [], "cell": [""], "infinite": ["inf"]}
+    run = {name: make_run(tmp_path / name, given) for name, given in areas.items()}
+    other = make_run(tmp_path / "ppo", [0.5], "ppo")
+    bare, gone = make_run(tmp_path / "bare", [0.5]), make_run(tmp_path / "gone", [0.5])
+    (bare / "config.json").write_text("{}")
+    (gone / "config.json").unlink()
+    for runs, said in (
+        ((), ""),
+        ((run["empty"],), ""),
+        ((run["cell"],), ""),
+        ((run["infinite"],), ""),
+        ((run["good"], tmp_path / "none"), ""),
+        ((run["good"], other), ""),
+        ((bare,), f"{bare} is not a run folder: 'algorithm' is missing\n"),
+        ((gone,), f"{gone} is not a run folder: {gone / 'config.json'}: No such file or directory\n"),
+    ):
+        assert main(PublishOptions(runs, tmp_path / "weights")) == 2
+        told = capsys.readouterr().err
+        assert told.startswith(f"mecp-env: runs: {said}")
+        assert "Error" not in told
 
 
 @pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])
 def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path, capsys, monkeypatch):
-    weights = tmp_path / "weights"
+    weights, run = tmp_path / "weights", make_run(tmp_path / "b", [0.6])
     assert main(PublishOptions((make_run(tmp_path / "a", [0.5]),), weights)) == 0
-    before = shipped(weights)
-    run = make_run(tmp_path / "b", [0.6])
-    if wrong == "large":
-        monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100)
-    elif wrong == "flipped":
-        path = next(run.glob("policy-*"))
-        path.write_bytes(path.read_bytes()[:-1] + b"x")
+    before, policy = shipped(weights), next(run.glob("policy-*"))
+    if wrong == "flipped":
+        policy.write_bytes(policy.read_bytes()[:-1] + b"x")
     elif wrong == "elsewhere":
-        (run / "policy.json").write_text(json.dumps({"algorithm": "maskable_ppo", "file": "../x", "sha256": "0"}))
+        write_json(run / "policy.json", {"algorithm": "maskable_ppo", "file": "../x", "sha256": "0"})
     elif wrong == "incomplete":
         (run / "run.json").unlink()
-    into = run / "run.json" if wrong == "no folder" else weights
-    assert main(PublishOptions((weights / "maskable_ppo" if wrong == "itself" else run,), into)) == 2
+    monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100 if wrong == "large" else 10**9)
+    runs = (weights / "maskable_ppo" if wrong == "itself" else run,)
+    assert main(PublishOptions(runs, run / "run.json" if wrong == "no folder" else weights)) == 2
     assert "mecp-env: " in capsys.readouterr().err
     assert shipped(weights) == before

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from benchmarks import returns
-from benchmarks.common import OptionError, Options
+from benchmarks.common import Options
 from benchmarks.returns import ACTING, CORRECT, COVERAGE, SETTINGS
 from mecp_env.episode.tasks import TASKS
 
@@ -52,8 +52,3 @@ def test_policies_that_read_predictions_run_in_tasks_only() -> None:
     for name in SETTINGS:
         assert set(ACTING) <= set(returns.policies_of(name, Options())) or name not in TASKS
     assert not set(ACTING) & set(returns.policies_of("medium", Options()))
-
-
-def test_more_buildings_than_there_are_are_refused() -> None:
-    with pytest.raises(OptionError, match="--buildings 1001"):
-        returns.units_of(Options(buildings=1001))

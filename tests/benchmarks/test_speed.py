@@ -52,16 +52,6 @@ def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -
     assert {gate.path for gate in speed.GATES} <= measured.keys()
 
 
-@pytest.mark.parametrize("where", explorers.EXPLORERS)
-def test_an_explorer_is_found_by_its_name_and_summed_up(where: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(explorers, "MAX_STEPS", 40)
-    episode = explorers.explore(("two_rooms", where, 1))
-    figures = explorers.summarise([episode])
-    assert {gate.path.split("/")[-1] for gate in explorers.GATES} <= figures.keys()
-    assert figures["periods"]["value"] <= 40
-    assert figures["rooms_found"]["value"] >= 0.5
-
-
 def test_a_coverage_counts_when_it_is_first_reached() -> None:
     episode = explorers.Episode()
     for step, coverage in enumerate([0.5, 0.91, 0.89, 0.95, 0.999]):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from benchmarks import __main__ as command
 from benchmarks import uncertainty
 from benchmarks.common import OptionError, Options
 from benchmarks.uncertainty import BASE, CHANGES, ESTIMATORS, METRIC, POLICIES
@@ -43,6 +41,18 @@ def test_prices_are_paired_by_building(figures: dict[str, Any]) -> None:
     assert found["slam"][METRIC]["n"] == 4
     assert found["slam"][METRIC]["high"] > found["slam"][METRIC]["low"]
     assert (found["slam"]["lost"]["value"], found["truth"]["lost"]["value"]) == (1.0, 0.0)
+    page = uncertainty.report(figures)
+    assert "## Odometry noise x8, range 2.5 m, 4 buildings" in page
+    assert "| gain | 0.515 [0.505, 0.525] | 0.615" in page
+    assert "+0.300 [+0.300, +0.300] | +0.100 [+0.100, +0.100] |" in page
+    axes = uncertainty.axes_of(figures)
+    assert list(axes["odometry noise"].values()) == ["x1", "x2", "x4", "x8"]
+    assert list(axes["laser range"].values()) == ["2.5 m", "3 m", "5 m", "8 m", "30 m"]
+    panels = uncertainty.figure(figures).axes
+    assert [panel.get_title() for panel in panels] == 2 * list(ESTIMATORS.values())
+    paths = [gate.path.split("/") for gate in uncertainty.GATES]
+    assert {path[1] for path in paths} <= set(CHANGES)
+    assert {path[2] for path in paths} <= set(POLICIES)
 
 
 def test_a_policy_is_paired_with_the_greedy_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -55,31 +65,6 @@ def test_a_policy_is_paired_with_the_greedy_one(monkeypatch: pytest.MonkeyPatch,
     assert (over["value"], over["low"], over["high"], over["n"]) == pytest.approx((0.2, 0.2, 0.2, 4))
     assert figures["points"][BASE]["next_best_view"]["over"]["value"] == 0.0
     assert "| +0.200 [+0.200, +0.200] |" in uncertainty.report(figures)
-
-
-def test_tables_and_figure(figures: dict[str, Any]) -> None:
-    page = uncertainty.report(figures)
-    assert "## Odometry noise x8, range 2.5 m, 4 buildings" in page
-    assert "## Odometry noise x1, range 30 m, 4 buildings" in page
-    assert "| gain | 0.515 [0.505, 0.525] | 0.615" in page
-    assert "+0.300 [+0.300, +0.300] | +0.100 [+0.100, +0.100] |" in page
-    axes = uncertainty.axes_of(figures)
-    assert list(axes["odometry noise"].values()) == ["x1", "x2", "x4", "x8"]
-    assert list(axes["laser range"].values()) == ["2.5 m", "3 m", "5 m", "8 m", "30 m"]
-    assert axes["laser range"][BASE] == "2.5 m"
-    panels = uncertainty.figure(figures).axes
-    assert [panel.get_title() for panel in panels] == 2 * list(ESTIMATORS.values())
-    assert [panel.get_xlabel() for panel in panels] == 3 * ["odometry noise"] + 3 * ["laser range"]
-    assert panels[0].get_legend_handles_labels()[1] == ["nearest", "gain"]
-
-
-def test_a_part_of_the_points_has_its_tables_and_its_figure(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(uncertainty, "episode", toy)
-    figures = uncertainty.run(Options(sets=("range_5_m:2", "range_8_m:1"), policies=("gain",), folder=tmp_path))
-    counts = [of_point["gain"]["price"]["n"] for of_point in figures["points"].values()]
-    assert (list(figures["points"]), counts) == (["range_5_m", "range_8_m"], [2, 1])
-    assert len(uncertainty.figure(figures).axes) == 3
-    assert "1 building\n" in uncertainty.report(figures)
 
 
 def test_every_point_changes_its_field_of_every_task() -> None:
@@ -95,41 +80,13 @@ def test_every_point_changes_its_field_of_every_task() -> None:
             assert (point == BASE) == (not changes)
 
 
-def test_an_episode_runs_and_another_run_finds_it(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setitem(TASKS, "ActiveHalls-v0", TASKS["ActiveHalls-v0"] | {"max_steps": 10})
-    options = Options(quick=True, sets=("odometry_x4",), policies=("nearest",), folder=tmp_path)
-    figures = uncertainty.run(options)
-    assert 0.0 < figures["points"]["odometry_x4"]["nearest"]["slam"][METRIC]["value"] < 0.5
-    assert len(list(tmp_path.glob("*.json"))) == 3
-    monkeypatch.setattr(uncertainty, "episode", None)
-    assert uncertainty.run(replace(options, policies=("nearest", "nearest"))) == figures
-
-
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
+def test_wrong_options_are_refused() -> None:
+    for options, said in (
         (Options(task="ActiveHall-v0"), "--task ActiveHall-v0: expected one of .*; did you mean 'ActiveHalls-v0'"),
         (Options(buildings=1001), "--buildings 1001: the split has 1000"),
         (Options(sets=("odometry_x3",)), "--sets odometry_x3: expected one of base, odometry_x2"),
-    ],
-)
-def test_wrong_options_are_refused(options: Options, said: str) -> None:
-    with pytest.raises(OptionError, match=said):
-        uncertainty.run(options)
-
-
-def test_an_unknown_policy_is_refused() -> None:
+    ):
+        with pytest.raises(OptionError, match=said):
+            uncertainty.run(options)
     with pytest.raises(ConfigError, match="did you mean 'nearest'"):
         uncertainty.run(Options(policies=("nearst",)))
-
-
-def test_options_of_this_benchmark_are_refused_by_others(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit):
-        command.main(["noise", "--buildings", "3"])
-    assert "--task, --policies, --buildings: only for returns and uncertainty" in capsys.readouterr().err
-
-
-def test_gates_are_points_and_policies() -> None:
-    paths = [gate.path.split("/") for gate in uncertainty.GATES]
-    assert {path[1] for path in paths} <= set(CHANGES)
-    assert {path[2] for path in paths} <= set(POLICIES)

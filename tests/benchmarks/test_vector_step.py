@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from benchmarks import vector_step
-from benchmarks.tables import flatten
 
 
 def test_every_count_has_gymnasiums_figure_and_its_ratio() -> None:
@@ -12,9 +11,3 @@ def test_every_count_has_gymnasiums_figure_and_its_ratio() -> None:
     assert kinds["batch of 3"]["steps_per_s"]["n"] == 2
     assert kinds["batch of 3"]["steps_per_s"]["value"] > kinds["batch of 3"]["over_single"]["value"] > 0.0
     assert "| batch of 3 |" in vector_step.report({"velocity": kinds})
-
-
-def test_the_gates_name_figures() -> None:
-    names = [f"batch of {count}" for count in vector_step.COUNTS]
-    paths = flatten({"velocity": {name: {"over_single": {"value": 1.0}} for name in names}}).keys()
-    assert all(any(path.startswith(gate.path) for path in paths) for gate in vector_step.GATES)

@@ -7,10 +7,7 @@ import json
 import re
 import shlex
 
-import pytest
-
 import mecp_env
-from benchmarks import __main__ as command
 from benchmarks import worlds
 from benchmarks.common import Options
 from mecp_env.world.layout import load_layout
@@ -20,18 +17,13 @@ def test_one_building_gives_all_figures() -> None:
     visit = worlds.visit(("easy", 0))
     figures = {"easy": worlds.summarise([visit])}
     assert visit.outcome == "complete"
+    assert dataclasses.replace(visit, terminated=False).outcome == "stuck"
+    for final, outcome in (({"lost": True}, "lost"), ({"coverage": 0.9}, "stuck"), ({"doors_found": 0}, "stuck")):
+        assert dataclasses.replace(visit, final=visit.final | final).outcome == outcome
     assert "| complete | 1 [" in worlds.report(figures)
     assert "## easy\n\n| | bare (1) |" in worlds.report(figures)
     for gate in (gate for gate in worlds.GATES if gate.path.startswith("easy/")):
         assert gate.path.split("/")[1] in figures["easy"]
-
-
-def test_outcomes() -> None:
-    done = worlds.visit(("easy", 0))
-    assert dataclasses.replace(done, terminated=False).outcome == "stuck"
-    assert dataclasses.replace(done, final=done.final | {"lost": True}).outcome == "lost"
-    assert dataclasses.replace(done, final=done.final | {"coverage": 0.9}).outcome == "stuck"
-    assert dataclasses.replace(done, final=done.final | {"doors_found": 0}).outcome == "stuck"
 
 
 def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -> None:
@@ -57,26 +49,9 @@ def test_settings_are_presets_with_something_more_and_can_be_seen_again() -> Non
     }
     assert worlds.flags("medium_people") == " --config.crowd.people 4"
     assert worlds.flags("easy") == ""
-    visit = worlds.visit(("medium_people", 9))
-    assert visit.final["association_precision"] > 0.98
-    assert visit.final["landmarks_on_movers"] <= 5
-
-
-def test_the_command_line_chooses_settings_and_counts() -> None:
     assert worlds.counts(Options(sets=("huge_people", "easy:7"))) == {"huge_people": 10, "easy": 7}
     assert worlds.counts(Options())["hard_clutter"] == 100
     assert set(worlds.counts(Options(quick=True))) <= set(worlds.SETTINGS)
-
-
-@pytest.mark.parametrize("given", ["easy:0", "easy:x", "easy:1001", "tiny"])
-def test_a_wrong_choice_ends_with_2(given: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        command.main(["worlds", "--sets", given])
-    assert ended.value.code == 2
-    assert given in capsys.readouterr().err
-
-
-def test_a_benchmark_without_settings_refuses_a_choice() -> None:
-    with pytest.raises(SystemExit) as ended:
-        command.main(["features", "--sets", "easy"])
-    assert ended.value.code == 2
+    visit = worlds.visit(("medium_people", 9))
+    assert visit.final["association_precision"] > 0.98
+    assert visit.final["landmarks_on_movers"] <= 5

@@ -1,12 +1,15 @@
-"""Figures of few pixels, for tests of what else a command does: to compute pixels is most of its time."""
+"""Figures of few pixels or none, for tests of what else a command does: to compute pixels is most of its time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
 from matplotlib.figure import Figure
+
+from mecp_env.cli import runs
 
 DRAFT_DPI = 60
 
@@ -22,3 +25,10 @@ def draft_figures() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(Figure, "savefig", save)
         yield
+
+
+@pytest.fixture
+def blank_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Figures are files without content, and films short."""
+    monkeypatch.setattr(runs, "FRAMES", 2)
+    monkeypatch.setattr(runs, "save", lambda figure, path, **_: Path(path).touch())

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import io
-import os
 import re
-import subprocess
 import sys
 from pathlib import Path
 
@@ -14,16 +12,13 @@ import pytest
 from mecp_env.cli import main as cli
 from tests.command_lines import ROOT
 
-pytestmark = pytest.mark.usefixtures("draft_figures")
+pytestmark = pytest.mark.usefixtures("blank_figures")
 
 LINES = (
     "worlds stats paper",
-    "worlds list",
     "worlds validate nö.json",
     "demo --layout two_rooms --config.max-steps 5 --out out",
-    "explore nearest --layout two_rooms --steps 5",
     "evaluate nearest --layout two_rooms --episodes 1 --max-steps 5 --no-truth --out évalué",
-    "leaderboard",
     "train ppö",
 )
 
@@ -41,8 +36,17 @@ class Terminal(io.TextIOWrapper):
         return kept.decode("ascii")
 
 
+def test_every_text_file_is_read_and_written_as_utf_8() -> None:
+    lines = [line for path in (ROOT / "mecp_env").rglob("*.py") for line in path.read_text().splitlines()]
+    calls = [line for line in lines if re.search(r"\.(?:read_text|write_text)\(", line)]
+    assert calls
+    assert not [line for line in calls if "utf-8" not in line]
+
+
 @pytest.mark.parametrize("line", LINES)
-def test_every_command_prints(line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_command_prints_and_a_character_that_is_missing_becomes_a_question_mark(
+    line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.chdir(tmp_path)
     out, err = Terminal(), Terminal()
     monkeypatch.setattr(sys, "stdout", out)
@@ -50,25 +54,4 @@ def test_every_command_prints(line: str, tmp_path: Path, monkeypatch: pytest.Mon
     code = cli.main(line.split())
     assert code == (2 if line.split()[-1] in ("nö.json", "ppö") else 0)
     assert len(out.shown + err.shown) > 20
-
-
-def test_a_character_that_is_missing_becomes_a_question_mark(monkeypatch: pytest.MonkeyPatch) -> None:
-    out = Terminal()
-    monkeypatch.setattr(sys, "stdout", out)
-    assert cli.main(["worlds", "stats", "paper"]) == 0
-    assert "m?" in out.shown  # square metres
-
-
-@pytest.mark.slow
-def test_files_do_not_depend_on_the_language_of_the_system(tmp_path: Path) -> None:
-    environment = os.environ | {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONPATH": str(ROOT)}
-    line = [sys.executable, "-m", "mecp_env", "demo", "--layout", "two_rooms", "--config.max-steps", "5"]
-    subprocess.run([*line, "--out", "run"], cwd=tmp_path, env=environment, check=True, capture_output=True)
-    assert "<title>" in (tmp_path / "run/replay.html").read_text(encoding="utf-8")
-
-
-def test_every_text_file_is_read_and_written_as_utf_8() -> None:
-    lines = [line for path in (ROOT / "mecp_env").rglob("*.py") for line in path.read_text().splitlines()]
-    calls = [line for line in lines if re.search(r"\.(?:read_text|write_text)\(", line)]
-    assert calls
-    assert not [line for line in calls if "utf-8" not in line]
+    assert ("m?" in out.shown) == ("stats" in line)  # square metres

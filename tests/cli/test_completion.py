@@ -45,10 +45,3 @@ def test_bash_completes_commands_and_options(tmp_path: Path, capsys: Captured) -
     assert completed("ex") == ["explore", "export"]
     assert "stats" in completed("worlds", "st")
     assert "--save-map" in completed("demo", "--save")
-
-
-def test_an_unknown_shell_is_refused(capsys: Captured) -> None:
-    with pytest.raises(SystemExit) as end:
-        cli.main(["completion", "csh"])
-    assert end.value.code == 2
-    assert "fish" in capsys.readouterr().err

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -56,6 +57,14 @@ def metrics_of(folder: Path) -> dict[str, object]:
     return json.loads((folder / "metrics.json").read_text())
 
 
+def changed(log: Path, path: Path, **change: Any) -> Path:
+    """The log with arrays in place of some; None leaves one out."""
+    with np.load(log) as whole:
+        arrays = {name: change.get(name, whole[name]) for name in whole}
+    np.savez(path, **{name: array for name, array in arrays.items() if array is not None})
+    return path
+
+
 def test_a_log_becomes_a_map(kept: Path) -> None:
     assert {path.name for path in kept.iterdir()} == FILES
     metrics = metrics_of(kept)
@@ -68,6 +77,13 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
     assert len((kept / "landmarks_final.csv").read_text().splitlines()) == 1 + metrics["landmarks"]
     with Image.open(kept / "run.gif") as film:
         assert film.n_frames > 10
+    names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
+    estimated, final, reference = (np.loadtxt(kept / name) for name in names)  # in one frame
+    np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])
+    np.testing.assert_array_equal(final[:, 0], reference[:, 0])
+    assert np.hypot(*(estimated - reference)[:, 1:3].T).max() < 0.2
+    assert np.hypot(*(final - reference)[:, 1:3].T).max() < 0.2
+    assert (final != estimated).any()
 
 
 @pytest.mark.slow
@@ -92,17 +108,6 @@ def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Pa
     assert "turn_scale given" in capsys.readouterr().err
 
 
-def test_the_paths_are_in_one_frame(kept: Path) -> None:
-    names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
-    estimated, final, reference = (np.loadtxt(kept / name) for name in names)
-    assert estimated.shape == reference.shape
-    np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])
-    np.testing.assert_array_equal(final[:, 0], reference[:, 0])
-    assert np.hypot(*(estimated - reference)[:, 1:3].T).max() < 0.2
-    assert np.hypot(*(final - reference)[:, 1:3].T).max() < 0.2
-    assert (final != estimated).any()
-
-
 @pytest.mark.slow
 def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
     folder = log.parent / "again"
@@ -112,81 +117,17 @@ def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
     assert metrics["localised_share"] > 0.9
     assert metrics["ate_m"] < 0.05
     assert (metrics["rooms"], metrics["doors"]) == (2, 1)
-    cut = log.parent / "cut.npz"  # the drive once more, up to the first scans
     with np.load(log) as whole:
         short = {name: whole[name][:20] for name in ("t", "ranges", "odo", "ref")}
-        np.savez(cut, **{**whole, **short})
+    cut = changed(log, log.parent / "cut.npz", **short)  # the drive once more, up to the first scans
     assert cli.main(["slam", str(cut), *line[2:], "0,0,0"]) == 0
     assert cli.main([*line, "here"]) == 2
     assert cli.main([*line, "nan,0,0"]) == 2
 
 
-def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
-    line = ["slam", str(log), "--out", str(tmp_path / "run"), "--odometry", "reference", "--seed", "3"]
-    more = [
-        "--config.sensor.range-sigma-m",
-        "0.07",
-        "--noise.scale",
-        "0.5",
-        "--rest-m",
-        "0.3",
-        "--rest-deg",
-        "40",
-        "--max-range-m",
-        "9",
-    ]
-    assert cli.main([*line, *more]) == 0
-    recipe = json.loads((tmp_path / "run" / "config.json").read_text())
-    assert recipe["config"]["sensor"]["range_sigma_m"] == 0.07
-    assert recipe["config"]["sensor"]["field_of_view_deg"] == 360.0
-    assert recipe["run"]["noise"]["scale"] == 0.5
-    assert recipe["run"]["seed"] == 3
-    assert metrics_of(tmp_path / "run")["counts"]["scans at rest, skipped"] > 5
-
-
-@pytest.mark.slow
-def test_carmen_and_bags(tmp_path: Path) -> None:
-    assert cli.main(["slam", str(write_carmen(tmp_path / "a.log")), "--out", str(tmp_path / "a")]) == 0
-    assert not (tmp_path / "a" / "truth.tum").exists()
-    pytest.importorskip("rosbags")
-    bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
-    assert cli.main(["slam", str(bag), "--out", str(tmp_path / "b")]) == 2
-    assert cli.main(["slam", str(bag), "--out", str(tmp_path / "b"), "--scan-topic", "/rear"]) == 0
-
-
-def test_a_truncated_log_is_mapped_as_far_as_it_goes(tmp_path: Path, capsys: Said) -> None:
-    path = write_carmen(tmp_path / "a.log")
-    path.write_bytes(path.read_bytes()[:-300])
-    assert cli.main(["slam", str(path), "--out", str(tmp_path / "a")]) == 0
-    assert "counted: 1 damaged lines" in capsys.readouterr().out
-    assert metrics_of(tmp_path / "a")["counts"] == {"damaged lines": 1}
-
-
-@pytest.mark.parametrize(
-    ("name", "more", "said"),
-    [
-        ("a.npz", {"ranges": None}, "no ranges in the archive"),
-        ("none.npz", None, "no such file"),
-        (".", None, "a folder without a bag"),
-    ],
-)
-def test_what_cannot_be_mapped_is_one_line(
-    tmp_path: Path, capsys: Said, name: str, more: dict[str, None] | None, said: str
-) -> None:
-    if more is not None:
-        write_archive(tmp_path / name, **more)
-    assert cli.main(["slam", str(tmp_path / name), "--out", str(tmp_path / "run")]) == 2
-    error = capsys.readouterr().err
-    assert said in error
-    assert error.count("\n") == 1
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.slow
 def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys: Said) -> None:
-    with np.load(log) as whole:
-        np.savez(tmp_path / "a.npz", **{name: whole[name] for name in whole if name != "odo"})
-    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 0
+    assert cli.main(["slam", str(changed(log, tmp_path / "a.npz", odo=None)), "--out", str(tmp_path / "a")]) == 0
     assert "odometry none" in capsys.readouterr().out
     assert metrics_of(tmp_path / "a")["ate_m"] < 0.1
     assert cli.main(["slam", str(log), "--out", str(tmp_path / "b"), "--odometry", "none"]) == 0
@@ -198,7 +139,7 @@ def test_a_mirrored_laser_is_named_and_mended(
     log: Path, tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with np.load(log) as whole:
-        np.savez(tmp_path / "a.npz", **{name: -whole[name] if name == "angles" else whole[name] for name in whole})
+        changed(log, tmp_path / "a.npz", angles=-whole["angles"])
     with monkeypatch.context() as patched:
         patched.setattr(log_run, "fault_of", lambda run, options: "of no use")
         assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
@@ -211,56 +152,73 @@ def test_a_mirrored_laser_is_named_and_mended(
     assert metrics_of(tmp_path / "b")["ate_m"] < 0.05
 
 
+@pytest.mark.usefixtures("blank_figures")
+def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
+    line = (
+        "--odometry reference --seed 3 --config.sensor.range-sigma-m 0.07 --noise.scale 0.5 --rest-m 0.3 --rest-deg 40"
+    )
+    assert cli.main(["slam", str(log), "--out", str(tmp_path), *line.split(), "--max-range-m", "9"]) == 0
+    recipe = json.loads((tmp_path / "config.json").read_text())
+    assert recipe["config"]["sensor"]["range_sigma_m"] == 0.07
+    assert recipe["config"]["sensor"]["field_of_view_deg"] == 360.0
+    assert recipe["run"]["noise"]["scale"] == 0.5
+    assert recipe["run"]["seed"] == 3
+    assert metrics_of(tmp_path)["counts"]["scans at rest, skipped"] > 5
+
+
+@pytest.mark.usefixtures("blank_figures")
+def test_a_truncated_log_is_mapped_as_far_as_it_goes_and_two_topics_reach_the_reader(
+    tmp_path: Path, capsys: Said
+) -> None:
+    path = write_carmen(tmp_path / "a.log")
+    path.write_bytes(path.read_bytes()[:-300])
+    assert cli.main(["slam", str(path), "--out", str(tmp_path / "a"), "--noise", "paper"]) == 0
+    assert "counted: 1 damaged lines" in capsys.readouterr().out
+    assert metrics_of(tmp_path / "a")["counts"] == {"damaged lines": 1}
+    assert not (tmp_path / "a" / "truth.tum").exists()
+    pytest.importorskip("rosbags")
+    bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
+    line = ["slam", str(bag), "--out", str(tmp_path / "b"), "--noise", "paper"]
+    assert cli.main(line) == 2
+    assert cli.main([*line, "--scan-topic", "/front", "--scan-topic", "/rear"]) == 0
+
+
+def test_what_cannot_be_mapped_is_one_line(log: Path, kept: Path, tmp_path: Path, capsys: Said) -> None:
+    saved, carmen = str(log.parent / "map.zip"), write_carmen(tmp_path / "a.log")
+    small = ["--config.sensor.range-sigma-m", "0.1"]
+    for said, source, more in (
+        ("no ranges in the archive", write_archive(tmp_path / "a.npz", ranges=None), []),
+        ("no such file", tmp_path / "none.npz", []),
+        ("a folder without a bag", tmp_path, []),
+        ("name one by --from-map", log, ["--start", "unknown"]),
+        ("a map has its own configuration", log, ["--from-map", saved, *small]),
+        ("name another file", log, ["--save-map", str(log)]),
+        ("--scan-topic", carmen, ["--scan-topic", "FLASE"]),
+    ):
+        assert cli.main(["slam", str(source), "--out", str(tmp_path / "run"), *more]) == 2
+        error = capsys.readouterr().err
+        assert said in error
+        assert error.count("\n") == 1
+        assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.usefixtures("blank_figures")
 def test_a_run_that_used_few_scans_fails_with_what_to_try(log: Path, tmp_path: Path, capsys: Said) -> None:
     with np.load(log) as whole:
-        np.savez(tmp_path / "a.npz", **{name: 0.0 * whole[name] if name == "odo" else whole[name] for name in whole})
+        still = {name: np.repeat(whole[name][:1], 20, axis=0) for name in ("ranges", "odo", "ref")}
+        changed(log, tmp_path / "a.npz", odo=0.0 * whole["odo"])
+        changed(log, tmp_path / "b.npz", t=whole["t"][:20], **still)
     assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
     said = capsys.readouterr().err
     assert "at rest by its odometry" in said
     assert "--odometry none" in said
     assert metrics_of(tmp_path / "a")["scans"] == 1
-
-
-def test_a_robot_that_never_moves_has_no_map(log: Path, tmp_path: Path, capsys: Said) -> None:
-    with np.load(log) as whole:
-        still = {name: np.repeat(whole[name][:1], 20, axis=0) for name in ("ranges", "odo", "ref")}
-        np.savez(tmp_path / "a.npz", **{**whole, **still, "t": whole["t"][:20]})
-    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a"), "--odometry", "none"]) == 1
+    assert cli.main(["slam", str(tmp_path / "b.npz"), "--out", str(tmp_path / "b"), "--odometry", "none"]) == 1
     assert "at rest by its scans in 19: a map takes a drive" in capsys.readouterr().err
-    assert metrics_of(tmp_path / "a")["counts"]["scans at rest, skipped"] == 19
+    assert metrics_of(tmp_path / "b")["counts"]["scans at rest, skipped"] == 19
 
 
-@pytest.mark.slow
-def test_a_run_that_is_lost_to_its_end_fails(log: Path, tmp_path: Path, capsys: Said) -> None:
-    with np.load(log) as whole:
-        ranges = whole["ranges"].copy()
-        ranges[len(ranges) // 2 :] = 0.4 + 0.1 * np.random.default_rng(0).random(ranges[len(ranges) // 2 :].shape)
-        np.savez(tmp_path / "a.npz", **({name: whole[name] for name in whole} | {"ranges": ranges}))
-    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
-    assert "--noise.scale" in capsys.readouterr().err
-
-
-def test_two_topics_reach_the_reader(tmp_path: Path) -> None:
-    pytest.importorskip("rosbags")
-    bag = write_bag(tmp_path / "b.bag", scan_topics=("/front", "/rear"))
-    line = ["slam", str(bag), "--out", str(tmp_path / "b"), "--scan-topic", "/front", "--scan-topic", "/rear"]
-    assert cli.main(line) == 0
-
-
-def test_options_that_contradict_each_other(log: Path, kept: Path, tmp_path: Path, capsys: Said) -> None:
-    saved, out = str(log.parent / "map.zip"), str(tmp_path / "run")
-    lines = {
-        "name one by --from-map": ["--start", "unknown"],
-        "a map has its own configuration": ["--from-map", saved, "--config.sensor.range-sigma-m", "0.1"],
-        "name another file": ["--save-map", str(log)],
-        "--scan-topic": ["--scan-topic", "FLASE"],
-    }
-    for said, more in lines.items():
-        source = write_carmen(tmp_path / "a.log") if "--scan-topic" in more else log
-        assert cli.main(["slam", str(source), "--out", out, *more]) == 2
-        assert said in capsys.readouterr().err
-
-
+@pytest.mark.usefixtures("blank_figures")
 def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     step, steps = SlamPipeline.step, []
 
@@ -272,32 +230,10 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
 
     monkeypatch.setattr(SlamPipeline, "step", interrupted)
     out, saved = tmp_path / "run", tmp_path / "map.zip"
-    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 130
+    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved), "--noise", "paper"]) == 130
     assert metrics_of(out)["ended"] == "interrupted"
     assert metrics_of(out)["scans"] == 20
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("error", [MapError("map: damaged"), OSError(28, "No space left on device")])
-def test_a_map_that_cannot_be_saved_loses_nothing_else(
-    error: Exception, log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    def save_map(self: SlamPipeline, path: Path) -> None:
-        raise error
-
-    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
-    out, saved = tmp_path / "run", tmp_path / "map.zip"
-    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 1
-    assert {path.name for path in out.iterdir()} == FILES
-    assert f"{saved} was not written" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-def test_a_run_whose_reader_is_gone_keeps_its_files(log: Path, tmp_path: Path) -> None:
-    with closed_pipe():
-        assert cli.main(["slam", str(log), "--out", str(tmp_path)]) == 0
-    assert {path.name for path in tmp_path.iterdir()} == FILES
 
 
 @pytest.mark.slow
@@ -311,6 +247,21 @@ def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pyte
     assert {"metrics.json", "config.json", "trajectory.tum", "truth.tum"} <= {path.name for path in out.iterdir()}
     assert saved.exists()
     assert f"{out / 'map.png'}: No space left" in capsys.readouterr().err
+
+
+@pytest.mark.slow
+def test_a_map_that_cannot_be_saved_and_a_reader_that_is_gone_lose_nothing_else(
+    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
+) -> None:
+    def save_map(self: SlamPipeline, path: Path) -> None:
+        raise MapError("map: damaged")
+
+    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
+    out, saved = tmp_path / "run", tmp_path / "map.zip"
+    with closed_pipe():
+        assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 1
+    assert {path.name for path in out.iterdir()} == FILES
+    assert f"{saved} was not written" in capsys.readouterr().err
 
 
 @pytest.mark.slow

@@ -83,9 +83,7 @@ def test_a_class_becomes_a_row_beside_the_references(toy: str, tmp_path: Path, c
     assert "nearest (reference)" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    "name", ["gain", "maskable_ppo", "a|b", "a\nb", "a\x1bb", "**a**", "[a](b)", "<b>", " ", "a" * 90]
-)
+@pytest.mark.parametrize("name", ["gain", "maskable_ppo", "a|b", "a\nb", "**a**", "[a](b)", " ", "a" * 90])
 def test_a_name_that_forges_a_row_is_refused(name: str, toy: str, tmp_path: Path, capsys: Captured) -> None:
     line = ["submit", "nearest", "--suite", toy, "--name", name, "--out", str(tmp_path / "mine.json")]
     assert cli.main(line) == 2
@@ -130,37 +128,29 @@ def test_no_name_adds_a_line_or_a_column() -> None:
     assert [line.count("|") for line in lines] == [3, 3, 3, 3]
     assert not any("(reference)" in line for line in lines)
     assert safe_name("runs/my-run_1: v2") == check_name("runs/my-run_1: v2")
-
-
-def test_a_file_never_replaces_a_reference_and_one_that_repeats_it_is_left_out() -> None:
-    row = {"task": "t", "policy": "gain", "estimator": "slam", "figures": FIGURES}
-    better = row | {"figures": {metric: {"value": 0.9, "low": 0.8, "high": 1.0} for metric in METRICS}}
-    lines = leaderboard({"a": {"results": [row]}, "b": {"results": [better]}}, references=[row]).split("\n")[2:]
-    assert [line.split(" |")[0] for line in lines] == ["| gain, b", "| gain (reference)"]
+    own = {"task": "t", "policy": "gain", "estimator": "slam", "figures": FIGURES}
+    better = own | {"figures": {metric: {"value": 0.9, "low": 0.8, "high": 1.0} for metric in METRICS}}
+    lines = leaderboard({"a": {"results": [own]}, "b": {"results": [better]}}, references=[own]).split("\n")[2:]
+    assert [line.split(" |")[0] for line in lines] == ["| gain, b", "| gain (reference)"]  # one that repeats it is out
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("line", "message"),
     [
-        ("--suite active-v1 --quick", "--suite active-v1: --quick fixes it; leave out one of the two"),
-        ("--suite active-v9", "did you mean 'active-v1'"),
-        ("--quick --out x.txt", "x.txt: expected the name of a file that ends in .json"),
-        ("--quick --hours nan", "--hours"),
-        ("--quick --seeds 0", "--seeds"),
+        ("nearest --suite active-v1 --quick", "--suite active-v1: --quick fixes it; leave out one of the two"),
+        ("nearest --suite active-v9", "did you mean 'active-v1'"),
+        ("nearest --quick --out x.txt", "x.txt: expected the name of a file that ends in .json"),
+        ("nearest --quick --hours nan", "--hours"),
+        ("nearest --quick --seeds 0", "--seeds"),
+        (f"{__name__}:TwoActions --suite toy-v1", "settings of actions 'velocity', but its `actions` are 'goal'"),
     ],
 )
 def test_wrong_options_are_refused(
-    words: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
+    line: str, message: str, toy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
 ) -> None:
     monkeypatch.chdir(tmp_path)
-    assert cli.main(["submit", "nearest", *words.split()]) == 2
+    assert cli.main(["submit", *line.split()]) == 2
     assert message in capsys.readouterr().err
-
-
-def test_settings_of_other_actions_than_its_own_are_refused(toy: str, tmp_path: Path, capsys: Captured) -> None:
-    line = ["submit", f"{__name__}:TwoActions", "--suite", toy, "--out", str(tmp_path / "mine.json")]
-    assert cli.main(line) == 2
-    assert "settings of actions 'velocity', but its `actions` are 'goal'" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", SUITES)

@@ -105,22 +105,18 @@ def test_warm_up_takes_as_many_processes_as_it_may(
     assert "functions compiled" in capsys.readouterr().out
 
 
-def test_a_drive_that_fails_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_drive_that_fails_is_named(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    assert set(warm_up.FIRST + warm_up.LATER) == set(warmup.DRIVES)
     monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: ("log",) if "log" in drives else ())
     assert cli.main(["warmup"]) == 1
     said = capsys.readouterr()
     assert "mecp_env.cli.warmup log" in said.out + said.err
     assert "functions compiled" not in said.out
-
-
-def test_warm_up_fails_where_nothing_can_be_kept(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path / "file" / "cache")
-    assert cli.main(["warmup"]) == 1
-
-
-def test_every_drive_of_a_warm_up_exists() -> None:
-    assert set(warm_up.FIRST + warm_up.LATER) == set(warmup.DRIVES)
+    assert cli.main(["warmup"]) == 1  # where nothing can be kept
 
 
 def installed(module: str) -> bool:

@@ -53,16 +53,10 @@ def test_policy_associator_and_reward_of_a_module_are_evaluated(jobs: str) -> No
 def test_episodes_of_another_module_are_refused(parts: Path, capsys: Captured) -> None:
     line = ["evaluate", "nearest", "--layout", "two_rooms", "--episodes", "1", "--no-truth", "--max-steps", "5"]
     assert cli.main([*line, *OWN, "--out", "runs"]) == 0
+    assert "own_associator" in METHODS.others
     parts.write_text(PARTS + "\n# changed\n")
     assert cli.main([*line, *OWN, "--out", "runs"]) == 2
     assert "module own_parts_of_a_test" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("parts")
-def test_a_module_may_follow_an_equals_sign() -> None:
-    line = ["--layout", "two_rooms", "--out", "runs", "--step", "3"]
-    assert cli.main(["one-scan", *line, "--with=own_parts_of_a_test"]) == 0
-    assert "own_associator" in METHODS.others
 
 
 @pytest.mark.usefixtures("parts")
@@ -76,7 +70,7 @@ def test_a_module_may_follow_an_equals_sign() -> None:
 )
 def test_a_module_that_cannot_be_imported_is_named(module: str, told: str, capsys: Captured) -> None:
     Path("broken.py").write_text("1 / 0\n")
-    assert cli.main(["demo", "--layout", "two_rooms", "--out", "runs", "--with", module]) == 2
+    assert cli.main(["demo", "--layout", "two_rooms", "--out", "runs", f"--with={module}"]) == 2
     assert told in capsys.readouterr().err
 
 

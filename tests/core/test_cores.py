@@ -25,47 +25,33 @@ def _four_cores(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: FOUR, raising=False)
 
 
-V1 = "12:memory:/a/b\n4:cpu,cpuacct:/a/b\n"
+def v2(path: str, **limits: str) -> dict[str, str]:
+    """The files of a process in a cgroup of version 2; the limit of each group by the last letter of its path."""
+    groups = {"root": "", "a": "/a", "b": "/a/b"}
+    files = {f"sys/fs/cgroup{groups[name]}/cpu.max": f"{quota} 100000\n" for name, quota in limits.items()}
+    return files | {"proc/self/cgroup": f"0::{path}\n"}
+
+
+def v1(quota: str) -> dict[str, str]:
+    """The same of version 1."""
+    folder = "sys/fs/cgroup/cpu,cpuacct/a/b/cpu.cfs_"
+    files = {f"{folder}quota_us": f"{quota}\n", f"{folder}period_us": "100000\n"}
+    return files | {"proc/self/cgroup": "12:memory:/a/b\n4:cpu,cpuacct:/a/b\n"}
 
 
 @pytest.mark.parametrize(
     ("files", "expected"),
     [
         ({}, 4),  # not Linux
-        ({"proc/self/cgroup": "0::/\n"}, 4),
-        ({"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/a/cpu.max": "max 100000\n"}, 4),
-        ({"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/a/cpu.max": "200000 100000\n"}, 2),
-        ({"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/a/cpu.max": "150000 100000\n"}, 2),
-        ({"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/a/cpu.max": "20000 100000\n"}, 1),
-        ({"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/a/cpu.max": "900000 100000\n"}, 4),
-        (  # the limit of a group around it
-            {
-                "proc/self/cgroup": "0::/a/b\n",
-                "sys/fs/cgroup/a/cpu.max": "300000 100000\n",
-                "sys/fs/cgroup/a/b/cpu.max": "max 100000\n",
-            },
-            3,
-        ),
-        (  # in a container: its group is mounted as the root
-            {"proc/self/cgroup": "0::/docker/1f\n", "sys/fs/cgroup/cpu.max": "200000 100000\n"},
-            2,
-        ),
-        (
-            {
-                "proc/self/cgroup": V1,
-                "sys/fs/cgroup/cpu,cpuacct/a/b/cpu.cfs_quota_us": "250000\n",
-                "sys/fs/cgroup/cpu,cpuacct/a/b/cpu.cfs_period_us": "100000\n",
-            },
-            3,
-        ),
-        (
-            {
-                "proc/self/cgroup": V1,
-                "sys/fs/cgroup/cpu,cpuacct/a/b/cpu.cfs_quota_us": "-1\n",
-                "sys/fs/cgroup/cpu,cpuacct/a/b/cpu.cfs_period_us": "100000\n",
-            },
-            4,
-        ),
+        (v2("/"), 4),
+        (v2("/a", a="max"), 4),
+        (v2("/a", a="150000"), 2),
+        (v2("/a", a="20000"), 1),
+        (v2("/a", a="900000"), 4),
+        (v2("/a/b", a="300000", b="max"), 3),  # the limit of a group around it
+        (v2("/docker/1f", root="200000"), 2),  # in a container: its group is mounted as the root
+        (v1("250000"), 3),
+        (v1("-1"), 4),
     ],
 )
 def test_the_smallest_limit_counts(tmp_path: Path, files: dict[str, str], expected: int) -> None:
@@ -74,5 +60,5 @@ def test_the_smallest_limit_counts(tmp_path: Path, files: dict[str, str], expect
 
 def test_the_affinity_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5}, raising=False)
-    assert cores(write(tmp_path, {"proc/self/cgroup": "0::/a\n", "sys/fs/cgroup/a/cpu.max": "300000 100000\n"})) == 1
+    assert cores(write(tmp_path, v2("/a", a="300000"))) == 1
     assert cores() == 1

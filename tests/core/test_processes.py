@@ -13,7 +13,7 @@ from typing import Any
 import pytest
 
 from mecp_env.core import worker_pool
-from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerError
+from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied
 from mecp_env.core.worker_pool import WorkerPool
 from tests.processes import gone_within, needs_linux
 
@@ -63,12 +63,16 @@ def ask(worker: Worker, name: str, *arguments: Any) -> Any:
 
 
 @pytest.mark.parametrize("method", ["fork", "spawn"])
-def test_a_worker_has_one_thread_and_is_out_of_reach_of_ctrl_c(method: str) -> None:
+def test_a_worker_has_one_thread_and_is_out_of_reach_of_ctrl_c(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv(THREADS[0], "5")
+    monkeypatch.delenv(THREADS[1], raising=False)
     worker = Worker(Target(), "worker 7", method)
     assert ask(worker, "signals") == (True, True)
     assert ask(worker, "threads") == {"1"}
     worker.stop()
     assert signal.SIGINT not in signal.pthread_sigmask(signal.SIG_BLOCK, [])  # here it is as before
+    assert os.environ[THREADS[0]] == "5"
+    assert THREADS[1] not in os.environ
 
 
 ASK_A_FORK_SERVER = """
@@ -83,14 +87,6 @@ def test_a_worker_of_a_fork_server_is_the_same() -> None:
     """In a process of its own: a server that another library started has that library's settings."""
     done = subprocess.run([sys.executable, "-c", ASK_A_FORK_SERVER], capture_output=True, text=True)
     assert done.stdout == "True True {'1'}\n", done.stderr
-
-
-def test_the_settings_of_this_process_stay(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(THREADS[0], "5")
-    monkeypatch.delenv(THREADS[1], raising=False)
-    Worker(Target(), "worker 7", "fork").stop()
-    assert os.environ[THREADS[0]] == "5"
-    assert THREADS[1] not in os.environ
 
 
 @pytest.mark.parametrize(
@@ -113,27 +109,6 @@ def test_an_exception_comes_with_place_and_traceback(worker: Worker) -> None:
     assert failure.note.startswith("in room 3:\nTraceback")
     assert failure.reason.startswith("KeyError: 'x' (fail, line ")
     assert isinstance(ask(worker, "open"), str)  # and it goes on
-
-
-class Unsendable(Exception):
-    """Cannot be made again from what is sent."""
-
-    def __init__(self, one: int, two: int) -> None:
-        super().__init__(f"{one} and {two}")
-
-
-def test_an_exception_that_cannot_be_sent_is_its_text() -> None:
-    failure = Failure.of(caught(lambda: Target().fail(Unsendable(1, 2))))
-    assert isinstance(failure.error, WorkerError)
-    assert str(failure.error).endswith("Unsendable: 1 and 2")
-
-
-def caught(call: Any) -> Exception:
-    try:
-        call()
-    except Exception as error:
-        return error
-    raise AssertionError
 
 
 def views_kept_by(error: BaseException | None) -> list[memoryview]:

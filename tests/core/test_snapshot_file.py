@@ -18,7 +18,7 @@ from mecp_env.core.snapshot import FileKind, StateError, decode, encode, load_sn
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import FEATURE
 from mecp_env.slam.rooms.doors import RoomLimits
-from tests.env.helpers import drive, make, same
+from tests.env.helpers import same
 
 KIND = FileKind("mecp_env test", 3, "0.1.0")
 VALUES = [
@@ -49,26 +49,16 @@ def path(tmp_path: Path) -> Path:
     return tmp_path / "kept.zip"
 
 
-@pytest.mark.parametrize("value", VALUES, ids=[f"{n}_{type(value).__name__}" for n, value in enumerate(VALUES)])
-def test_values_come_back_to_the_last_bit(value: Any, path: Path) -> None:
-    save_snapshot(path, KIND, encode(value))
+def test_values_come_back_to_the_last_bit(path: Path) -> None:
+    save_snapshot(path, KIND, encode(VALUES))
     again = decode(load_snapshot(path, KIND))
-    assert same(encode(again), encode(value))
-    assert type(again) is type(value)
-
-
-def test_a_big_endian_array_is_the_same_numbers(path: Path) -> None:
+    for read, value in zip(again, VALUES, strict=True):
+        assert same(encode(read), encode(value))
+        assert type(read) is type(value)
     save_snapshot(path, KIND, encode(np.array([1.5, -2.0], ">f8")))
     assert same(decode(load_snapshot(path, KIND)), np.array([1.5, -2.0]))
-
-
-def test_the_state_of_an_environment_fits_into_such_a_file(path: Path) -> None:
-    env = make(crowd={"people": 2}).unwrapped
-    env.reset(seed=1)
-    drive(env, 5)
-    state = env.get_state()
-    save_snapshot(path, KIND, state)
-    assert same(load_snapshot(path, KIND), state)
+    with pytest.raises(StateError, match=r"gone\.zip: no such file"):
+        load_snapshot(path.with_stem("gone"), KIND)
 
 
 def test_a_reader_needs_json_and_bytes_only(path: Path) -> None:
@@ -102,18 +92,29 @@ def test_equal_states_give_equal_files_and_a_failed_save_leaves_the_old_one(
     assert list(path.parent.iterdir()) == [path]
 
 
-def packed(**members: bytes) -> bytes:
-    """A zip with these members; `_` stands for the dot in their names."""
+def packed(members: dict[str, bytes]) -> bytes:
+    """A zip with these members."""
     buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w") as archive:
+    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, part in members.items():
-            archive.writestr(name.replace("_", "."), part)
+            archive.writestr(name, part)
     return buffer.getvalue()
 
 
 def with_content(**fields: Any) -> bytes:
     """A file with a header of this kind, and other fields."""
-    return packed(state_json=json.dumps({**KIND._asdict(), "state": None, **fields}).encode(), arrays_bin=b"12345678")
+    content = json.dumps({**KIND._asdict(), "state": None, **fields}).encode()
+    return packed({"state.json": content, "arrays.bin": b"12345678"})
+
+
+def with_state(text: str, arrays: bytes = b"") -> bytes:
+    """A file with this state as JSON."""
+    content = json.dumps(KIND._asdict())[:-1] + f', "state": {text}}}'
+    return packed({"state.json": content.encode(), "arrays.bin": arrays})
+
+
+LARGE = '{"@array": [{"@bytes": ["<f8", [1000000], 0]}, true]}'
+ZEROS = with_state("{}", bytes(100_000_000))
 
 
 @pytest.mark.parametrize(
@@ -121,77 +122,33 @@ def with_content(**fields: Any) -> bytes:
     [
         (b"", "no mecp_env test, or cut short"),
         (b"P5 3 3 255 ", "no mecp_env test, or cut short"),
-        (packed(), r"no mecp_env test: it holds \[\]"),
-        (packed(data_npy=b""), r"no mecp_env test: it holds \['data\.npy'\]"),
-        (packed(state_json=b"{"), "damaged .JSONDecodeError"),
-        (packed(state_json=b"[]"), r"format: \[\], expected 'mecp_env test'"),
+        (packed({}), r"no mecp_env test: it holds \[\]"),
+        (packed({"state.json": b"{"}), "damaged .JSONDecodeError"),
+        (packed({"state.json": b"[]"}), r"format: \[\], expected 'mecp_env test'"),
         (with_content(format="mecp_env map"), "format: 'mecp_env map', expected 'mecp_env test'"),
         (with_content(version=4, package="9.0"), r"version: 4 \(of mecp_env 9\.0\), this mecp_env 0\.1\.0 reads .* 3"),
-        (with_content(version=2), r"version: 2 \(of mecp_env 0\.1\.0\), this mecp_env 0\.1\.0 reads version 3"),
         (with_content(state={"@bytes": ["<f8", [2], 0]}), "arrays.bin: arrays of more bytes"),
         (with_content(state={"@bytes": ["<f8", [-1], 0]}), r"array: '<f8' \[-1\] from 0 on"),
         (with_content(state={"@bytes": ["|O", [1], 0]}), r"array: '\|O' \[1\] from 0 on"),
         (with_content(state={"@bytes": ["<f8", [1], -8]}), r"array: '<f8' \[1\] from -8 on"),
         (with_content(state={"@bytes": 3}), "damaged .TypeError"),
+        (with_state('{"@list": [' + "[]," * 1_000_000 + "[]]}"), "state.json: .* parts, at most"),
+        (with_state('"' + "x" * 10_000_000 + '"'), "state.json: it has"),
+        (with_state(f'{{"@list": [{LARGE}, {LARGE}]}}', bytes(8_000_000)), ".* more bytes than there are"),
+        (with_state("[" * 100_000 + "]" * 100_000), "damaged .RecursionError"),
+        (ZEROS, "arrays.bin: it has"),
+        (ZEROS.replace((100_000_000).to_bytes(4, "little"), (1000).to_bytes(4, "little")), ""),  # it hides its size
     ],
+    ids=range(18),
 )
 def test_whatever_is_wrong_gives_one_error_that_names_the_file(data: bytes, message: str, path: Path) -> None:
     path.write_bytes(data)
+    tracemalloc.start()
     with pytest.raises(StateError, match=rf"kept\.zip: {message}"):
         load_snapshot(path, KIND)
+    assert tracemalloc.get_traced_memory()[1] < 60e6
+    tracemalloc.stop()
     assert path.read_bytes() == data
-
-
-def test_a_file_that_unpacks_to_too_much_is_refused(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    save_snapshot(path, KIND, encode(np.zeros(100_000)))
-    monkeypatch.setattr("mecp_env.core.snapshot.MOST_BYTES", 10_000)
-    with pytest.raises(StateError, match=r"kept\.zip: arrays.bin: it has \d+ bytes unpacked, at most 10000"):
-        load_snapshot(path, KIND)
-
-
-def test_a_missing_file_is_named(path: Path) -> None:
-    with pytest.raises(StateError, match=r"kept\.zip: no such file"):
-        load_snapshot(path, KIND)
-
-
-def packed(text: str, arrays: bytes = b"") -> bytes:
-    """A file with this state as JSON."""
-    buffer = io.BytesIO()
-    with zipfile.ZipFile(buffer, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("state.json", json.dumps(KIND._asdict())[:-1] + f', "state": {text}}}')
-        archive.writestr("arrays.bin", arrays)
-    return buffer.getvalue()
-
-
-LARGE = '{"@array": [{"@bytes": ["<f8", [1000000], 0]}, true]}'
-BOMBS = {
-    "a long list": (packed('{"@list": [' + "[]," * 1_000_000 + "[]]}"), "parts, at most"),
-    "a long text": (packed('"' + "x" * 10_000_000 + '"'), "state.json: it has"),
-    "large arrays": (packed("{}", bytes(100_000_000)), "arrays.bin: it has"),
-    "one array many times": (packed(f'{{"@list": [{LARGE}, {LARGE}]}}', bytes(8_000_000)), "more bytes than there are"),
-    "nesting": (packed("[" * 100_000 + "]" * 100_000), "RecursionError"),
-}
-
-
-@pytest.mark.parametrize("name", BOMBS)
-def test_a_small_file_makes_little(name: str, path: Path) -> None:
-    data, message = BOMBS[name]
-    path.write_bytes(data)
-    tracemalloc.start()
-    with pytest.raises(StateError, match=message):
-        load_snapshot(path, KIND)
-    assert tracemalloc.get_traced_memory()[1] < 60e6
-    tracemalloc.stop()
-
-
-def test_a_part_that_hides_its_size_is_not_unpacked(path: Path) -> None:
-    data = packed("{}", bytes(100_000_000))
-    path.write_bytes(data.replace((100_000_000).to_bytes(4, "little"), (1000).to_bytes(4, "little")))
-    tracemalloc.start()
-    with pytest.raises(StateError):
-        load_snapshot(path, KIND)
-    assert tracemalloc.get_traced_memory()[1] < 60e6
-    tracemalloc.stop()
 
 
 def test_what_is_written_can_be_read_however_well_it_packs(path: Path) -> None:
@@ -206,8 +163,6 @@ def test_what_is_written_can_be_read_however_well_it_packs(path: Path) -> None:
         {"@object": ["mecp_env.cli.main:Command", {}]},
         {"@keep": 3},
         {"@frozen": [1]},
-        {"@array": [["a", {}], True]},
-        {"@scalar": [None]},
     ],
 )
 def test_only_our_classes_and_kinds_are_made(data: Any) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from mecp_env.core import jit, warm_up
+from mecp_env.core import warm_up
 
 ROOT = Path(warm_up.__file__).parents[2]
 
@@ -34,25 +34,21 @@ def driven(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
 
 
 def test_the_first_use_compiles_and_says_so_in_one_line(
-    cold: Path, driven: list[Any], caplog: pytest.LogCaptureFixture
+    cold: Path, driven: list[Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    with monkeypatch.context() as patch:
+        patch.setenv(warm_up.SWITCH, "0")
+        warm_up.prepare()
+        assert driven == []  # switched off
     warm_up.prepare()
     assert driven == [warm_up.FIRST]
     (record,) = caplog.records
     assert "compiling" in record.message
     assert warm_up.SWITCH in record.message
-
-
-def test_the_first_use_can_be_switched_off(cold: Path, driven: list[Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv(warm_up.SWITCH, "0")
+    cold.with_name("file").touch()
+    monkeypatch.setattr(warm_up, "cache_directory", lambda: cold.with_name("file"))
     warm_up.prepare()
-    assert driven == []
-
-
-def test_where_nothing_can_be_kept_nothing_is_compiled_ahead(cold: Path, driven: list[Any]) -> None:
-    cold.touch()
-    warm_up.prepare()
-    assert driven == []
+    assert len(driven) == 1  # where nothing can be kept, nothing is compiled ahead
 
 
 def _is_prepared() -> bool:
@@ -103,8 +99,3 @@ def test_an_interrupt_ends_the_processes_and_leaves_it_cold(tmp_path: Path) -> N
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
     assert not list(tmp_path.rglob(warm_up.DONE))
-
-
-def test_the_place_of_the_cache_is_named_after_the_sources() -> None:
-    assert jit.cache_directory() == jit.cache_directory()
-    assert len(jit.cache_directory().name) == 16

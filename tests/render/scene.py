@@ -90,13 +90,6 @@ def view(**changes: object) -> SceneView:
         "goal_kinds": np.array([2, 1, 3]),
         "target": 1,
         "title": "two rooms, step 12",
-        "metrics": {
-            "rooms_found": 1,
-            "rooms": 2,
-            "doors_found": 1,
-            "doors": 1,
-            "coverage": 0.731,
-            "pose_error_m": 0.0123,
-        },
+        "metrics": METRICS,
     }
     return SceneView(**(fields | changes))  # type: ignore[arg-type]

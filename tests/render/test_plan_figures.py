@@ -49,34 +49,25 @@ def test_a_name_in_a_narrow_turned_room_is_written_along_it() -> None:
 
 
 def test_the_picture_shows_walls_floors_doors_furniture_and_starts(tmp_path: Path) -> None:
-    save_plans([floor_plan(load_layout("furnished"))], tmp_path / "plan.png", dpi=80)
-    with Image.open(tmp_path / "plan.png") as picture:
-        pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
-    for colour in (palette.SOLID, palette.DOOR, palette.ESTIMATE, (212, 200, 184)):
-        assert (pixels == colour).all(axis=1).any(), colour
-
-
-def test_solid_walls_with_holes_leave_the_floor_to_be_seen(tmp_path: Path) -> None:
-    save_map_server(load_layout("furnished"), tmp_path / "map")
-    plan = floor_plan(load_plan(tmp_path / "map.yaml"))
-    save_plans([plan], tmp_path / "plan.png", dpi=60)
-    with Image.open(tmp_path / "plan.png") as picture:
-        solid = (np.asarray(picture.convert("RGB")) == palette.SOLID).all(axis=2).mean()
-    assert any(len(shape) > 1 for shape in plan.walls)
-    assert 0.01 < solid < 0.3
-
-
-@pytest.mark.parametrize("ending", [".png", ".svg"])
-def test_the_same_plans_give_the_same_file(ending: str, tmp_path: Path) -> None:
-    plans = [floor_plan(load_layout(name)) for name in NAMES[:2]]
-    for name in ("a", "b"):
-        save_plans(plans, tmp_path / f"{name}{ending}", dpi=40)
-    assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
+    layout = load_layout("furnished")
+    save_map_server(layout, tmp_path / "map")
+    for plan in (floor_plan(layout), floor_plan(load_plan(tmp_path / "map.yaml"))):
+        save_plans([plan], tmp_path / "plan.png", dpi=80)
+        with Image.open(tmp_path / "plan.png") as picture:
+            pixels = np.asarray(picture.convert("RGB")).reshape(-1, 3)
+        for colour in (palette.SOLID, palette.DOOR, palette.ESTIMATE, *([(212, 200, 184)] if plan.obstacles else [])):
+            assert (pixels == colour).all(axis=1).any(), colour
+        assert 0.01 < (pixels == palette.SOLID).all(axis=1).mean() < 0.3
+    assert any(len(shape) > 1 for shape in plan.walls)  # solid, with holes that leave the floor to be seen
+    for ending in (".png", ".svg"):
+        for name in ("a", "b"):
+            save_plans([plan], tmp_path / f"{name}{ending}", dpi=30)
+        assert (tmp_path / f"a{ending}").read_bytes() == (tmp_path / f"b{ending}").read_bytes()
 
 
 def test_a_sheet_has_a_place_for_every_plan() -> None:
     plan = floor_plan(load_layout("two_rooms"))
-    for count in (1, 2, 5, 9):
+    for count in (1, 5):
         figure = plans_figure([plan] * count)
         boxes = [axes.get_position() for axes in figure.axes]
         assert len(boxes) == count

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.colors import to_hex, to_rgb
+from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.text import Text
 from PIL import Image
@@ -33,15 +33,6 @@ from tests.slam import make
 ROOT = Path(__file__).parents[2]
 PAGE_PX, LEAST_PX = 736.0, 8.0  # width of the text of a page of the site
 LEAST_CONTRAST = 4.5
-SIGHTS = {  # Machado, Oliveira, Fernandes 2009, severity 1
-    "all colours": np.eye(3),
-    "protanopia": np.array(
-        [[0.152286, 1.052583, -0.204868], [0.114503, 0.786281, 0.099216], [-0.003882, -0.048116, 1.051998]]
-    ),
-    "deuteranopia": np.array(
-        [[0.367322, 0.860646, -0.227968], [0.280085, 0.672501, 0.047413], [-0.011820, 0.042940, 0.968881]]
-    ),
-}
 
 
 def smallest_px(figure: Figure) -> float:
@@ -67,7 +58,7 @@ def pixels(figure: Figure) -> Array:
     return np.asarray(canvas.buffer_rgba(), np.float64)[:, :, :3]
 
 
-@pytest.mark.parametrize("count", [1, 2, 4, 8])
+@pytest.mark.parametrize("count", [1, 6])
 def test_letters_of_plans_are_large_enough_on_a_page(count: int) -> None:
     plans = [floor_plan(generate(GeneratorSpec.preset("hard"), seed)) for seed in range(count)]
     figure = plans_figure(plans)
@@ -93,15 +84,20 @@ def test_the_legend_of_plans_has_what_they_have() -> None:
     assert legend_of(plans_figure([replace(bare, obstacles=(), doors=(), starts=bare.starts[:1])])) == ["first start"]
 
 
-def test_letters_of_other_figures_are_large_enough_on_a_page() -> None:
-    panel = Panel(["a", "b"], {"one": [estimate([1.0, 2.0])] * 2, "two": [estimate([2.0, 3.0])] * 2})
-    figures = {**stages(), "panels": line_panels({str(k): panel for k in range(2 * MOST_ACROSS - 1)}, "error, m")}
-    for name, figure in figures.items():
+def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as_well_as_in_hue() -> None:
+    panel = Panel(["a", "b"], {str(k): [estimate([1.0, 2.0])] * 2 for k in range(6)})
+    panels = line_panels({str(k): panel for k in range(2 * MOST_ACROSS - 1)}, "error, m")
+    for name, figure in {**stages(), "panels": panels}.items():
         figure.draw_without_rendering()
         assert smallest_px(figure) >= LEAST_PX, name
+    lines = [line for line in panels.axes[0].get_lines() if line.get_marker() not in ("_", "|")]
+    assert len({(line.get_marker(), line.get_linestyle()) for line in lines}) == 6
+    assert len(set(palette.SERIES)) == len(palette.MARKERS)
+    for marks in ([mark for _, mark in DECISIONS.values()], [mark for mark, _ in KINDS.values()], palette.MARKERS):
+        assert len(set(marks)) == len(marks)
 
 
-def test_axes_have_units() -> None:
+def test_axes_have_units_and_curves_are_those_that_a_run_has() -> None:
     moments = [
         {"pose_error_m": 0.01, "sigma3_m": 0.03, "nees": 3.0, "coverage": 0.1 * k, "landmarks": k} for k in range(9)
     ]
@@ -112,15 +108,13 @@ def test_axes_have_units() -> None:
     assert {int(tick) for tick in curves.axes[3].get_yticks()} == set(curves.axes[3].get_yticks())
     for figure in stages().values():
         assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x, m", "y, m")
-
-
-def test_curves_name_only_what_a_run_has() -> None:
-    """A log has no truth: neither errors nor NEES, and no band."""
-    figure = curves_figure("a log", 0.4, [{"sigma3_m": 0.03, "landmarks": k} for k in range(9)])
-    names = [
-        [text.get_text() for text in axes.get_legend().get_texts()] if axes.get_legend() else [] for axes in figure.axes
-    ]
-    assert names == [["3 sigma"], [], [], ["landmarks"]]
+        assert legend_of(figure) == drawn(figure.axes[0])["labels"]
+    assert {"wall", "open", "polygon"} <= set(legend_of(stages()["polygon"]))
+    assert "gap" not in legend_of(stages()["polygon"])
+    log = curves_figure("a log without truth", 0.4, [{"sigma3_m": 0.03, "landmarks": k} for k in range(9)])
+    legends = [axes.get_legend() for axes in log.axes]
+    named = [[text.get_text() for text in legend.get_texts()] if legend else [] for legend in legends]
+    assert named == [["3 sigma"], [], [], ["landmarks"]]
 
 
 def test_the_map_names_only_what_it_has() -> None:
@@ -134,42 +128,11 @@ def test_the_map_names_only_what_it_has() -> None:
     assert not {"true walls", "true path", "reference path"} & set(log)
 
 
-def test_a_stage_names_only_what_it_has() -> None:
-    figures = stages()
-    assert {"wall", "open", "polygon"} <= set(legend_of(figures["polygon"]))
-    assert "gap" not in legend_of(figures["polygon"])
-    for figure in figures.values():
-        assert legend_of(figure) == drawn(figure.axes[0])["labels"]
-
-
 def test_polygons_of_a_scan_that_overlap_are_no_darker() -> None:
     """The scene has one polygon twice."""
     light = 255.0 * np.array(to_rgb(palette.unit(palette.mix(palette.ROOMS[0], palette.FREE, 0.85))))
     shown = np.abs(pixels(stages()["polygon"]) - light).max(axis=2) < 1.5
     assert shown.mean() > 0.01
-
-
-def test_kinds_differ_in_shape_as_well_as_in_hue() -> None:
-    for marks in ([mark for _, mark in DECISIONS.values()], [mark for mark, _ in KINDS.values()], palette.MARKERS):
-        assert len(set(marks)) == len(marks)
-    panel = Panel(["a"], {str(k): [estimate([1.0, 2.0])] for k in range(6)})
-    lines = [line for line in line_panels({"": panel}, "y").axes[0].get_lines() if line.get_marker() not in ("_", "|")]
-    assert len({(line.get_marker(), line.get_linestyle()) for line in lines}) == 6
-
-
-def as_seen(colours: Array, sight: Array) -> Array:
-    """Colours (n,3) 0..1 as the colour-blind see them: a matrix on linear light."""
-    light = np.where(colours <= 0.04045, colours / 12.92, ((colours + 0.055) / 1.055) ** 2.4)
-    seen = np.clip(light @ sight.T, 0.0, 1.0)
-    return np.where(seen <= 0.0031308, 12.92 * seen, 1.055 * seen ** (1 / 2.4) - 0.055)
-
-
-@pytest.mark.parametrize("sight", SIGHTS)
-def test_series_are_apart_for_the_colour_blind(sight: str) -> None:
-    colours = as_seen(np.array(palette.SERIES[:6]) / 255.0, SIGHTS[sight])
-    gaps = [np.linalg.norm(a - b) for k, a in enumerate(colours) for b in colours[:k]]
-    assert min(gaps) > 0.2
-    assert len({to_hex(palette.unit(colour)) for colour in palette.SERIES}) == len(palette.MARKERS)
 
 
 def test_a_label_is_readable_on_a_wall_and_on_a_floor() -> None:
@@ -181,12 +144,11 @@ def test_a_label_is_readable_on_a_wall_and_on_a_floor() -> None:
         assert (np.abs(shown - palette.PAPER).max(axis=1) < 25).any()
 
 
-@pytest.mark.parametrize(
-    "name", ["plans", "worlds", "policies", "first", "replay", *(f"one-scan/{k}-*" for k in range(1, 7))]
-)
-def test_pictures_of_the_docs_are_sharp_and_small(name: str) -> None:
+def test_pictures_of_the_docs_are_sharp_and_small() -> None:
     """Twice the pixels of the page, within 2 MB."""
-    (path,) = (ROOT / "docs/images").glob(f"{name}.png")
-    with Image.open(path) as picture:
-        assert picture.width >= 2 * PAGE_PX, path
-    assert path.stat().st_size < 500_000
+    names = ["plans", "worlds", "policies", "first", "replay", *(f"one-scan/{k}-*" for k in range(1, 7))]
+    for name in names:
+        (path,) = (ROOT / "docs/images").glob(f"{name}.png")
+        with Image.open(path) as picture:
+            assert picture.width >= 2 * PAGE_PX, path
+        assert path.stat().st_size < 500_000

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import gzip
 import html
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +16,6 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.browser import Browser, chromium
 from mecp_env.core.errors import ConfigError
-from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.rollout import masks_of
 from mecp_env.render.replay import Recorder, ReplayError, read_page, recorder, write_page
 from mecp_env.render.replay.page import changed_cells, changed_rows
 from mecp_env.wrappers import RecordReplay
@@ -26,15 +25,6 @@ CLOCK = "document.getElementById('clock').textContent"
 needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
 
 
-class Seen(RecordReplay):
-    """The wrapper, with the views that it was given."""
-
-    def _keep(self, view: Any, info: Any) -> None:
-        if info is not None:
-            self.views = [*getattr(self, "views", []), view]
-        super()._keep(view, info)
-
-
 def cells_at_the_end(run: dict[str, Any]) -> np.ndarray:
     """(H*W,) the map of the last frame."""
     cells = np.zeros(run["grid"]["size"][::-1], np.uint8).ravel()
@@ -42,20 +32,6 @@ def cells_at_the_end(run: dict[str, Any]) -> np.ndarray:
         for first, count, code in np.reshape(frame.get("cells", []), (-1, 3)).astype(int).tolist():
             cells[first : first + count] = code
     return cells
-
-
-@pytest.fixture(scope="module")
-def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Any]]:
-    folder = tmp_path_factory.mktemp("replays")
-    env = Seen(gym.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", disable_env_checker=True), folder)
-    observation, _ = env.reset(seed=3)
-    policy, over = Nearest(), False
-    policy.reset(0)
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks_of(env)()))
-        over = terminated or truncated
-    env.close()
-    return folder / "episode-0000.html", env.views
 
 
 def test_a_page_has_every_step_and_the_last_belief(kept: tuple[Path, list[Any]]) -> None:
@@ -77,26 +53,19 @@ def test_a_page_has_every_step_and_the_last_belief(kept: tuple[Path, list[Any]])
     assert "reward_area" in run["curve_units"]
 
 
-def test_corners_say_what_was_decided_and_why(kept: tuple[Path, list[Any]]) -> None:
-    page, views = kept
-    run = read_page(page)
-    for view, frame in list(zip(views, run["frames"][1:], strict=True))[::7]:
-        match = view.slam_output.match
-        rows = frame.get("corners", [])
-        assert [row[7] for row in rows] == match.decision.tolist()
-        assert [row[9] for row in rows] == match.ids.tolist()
-        assert all(run["reasons"][str(row[8])] for row in rows)
-    assert any(frame.get("matched") for frame in run["frames"])
-
-
-def test_a_map_polygon_is_that_of_the_scan(kept: tuple[Path, list[Any]]) -> None:
+def test_corners_and_polygons_say_what_was_decided_and_why(kept: tuple[Path, list[Any]]) -> None:
     """The vertices that are said to be recognised are landmarks, or tracks, of corners of the chosen polygon."""
     page, views = kept
-    for view, frame in zip(views, read_page(page)["frames"][1:], strict=True):
-        associated = view.slam_output.associated
+    run = read_page(page)
+    for view, frame in zip(views, run["frames"][1:], strict=True):
+        output, rows = view.slam_output, frame.get("corners", [])
+        assert [row[7] for row in rows] == output.match.decision.tolist()
+        assert [row[9] for row in rows] == output.match.ids.tolist()
+        assert all(run["reasons"][str(row[8])] for row in rows)
         if frame.get("matched"):
-            vertices = view.slam_output.polygons[associated.polygon].corners
-            assert set(associated.ids[vertices].tolist()) <= {-1, *frame["matched"]}
+            vertices = output.polygons[output.associated.polygon].corners
+            assert set(output.associated.ids[vertices].tolist()) <= {-1, *frame["matched"]}
+    assert any(frame.get("matched") for frame in run["frames"])
 
 
 def test_a_long_run_keeps_evenly_spaced_steps(kept: tuple[Path, list[Any]], monkeypatch: pytest.MonkeyPatch) -> None:
@@ -133,24 +102,44 @@ def test_a_grid_that_grows_keeps_its_place() -> None:
     assert (size, runs) == ([3, 2], [[4, 1, 1, 5, 1, 3], []])
 
 
-def test_damaged_foreign_and_later_pages_are_refused(kept: tuple[Path, list[Any]], tmp_path: Path) -> None:
-    text, page = kept[0].read_text(), tmp_path / "page.html"
+def packed(raw: bytes) -> str:
+    data = base64.b64encode(gzip.compress(raw)).decode()
+    return f'<script id="run" type="text/plain" data-version="1">{data}</script>'
+
+
+def damaged(text: str) -> str:
     middle = text.index('data-version="1">') + 200
-    for damaged, words in (
-        (text[: len(text) // 3], "part of it is missing"),
-        ("<html></html>", "no replay"),
-        (text.replace('data-version="1"', 'data-version="2"'), "version 2 of the replay, this mecp_env reads up to 1"),
-        (text[:middle] + "AAAA" + text[middle + 4 :], "damaged"),
-    ):
-        page.write_text(damaged)
-        with pytest.raises(ReplayError, match=words):
-            read_page(page)
+    return text[:middle] + "AAAA" + text[middle + 4 :]
 
 
-def test_the_title_cannot_break_the_page(kept: tuple[Path, list[Any]], tmp_path: Path) -> None:
-    run = read_page(kept[0]) | {"title": "<script>alert(1)</script>"}
-    write_page(run, tmp_path / "page.html")
-    assert "<script>alert" not in (tmp_path / "page.html").read_text()
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text[: len(text) // 3], "part of it is missing"),
+        (lambda text: "<html></html>", "no replay"),
+        (lambda text: text.replace('data-version="1"', 'data-version="2"'), "version 2 of the .* reads up to 1"),
+        (damaged, "damaged"),
+        (lambda text: packed(b'{"frames":[1]}'), ""),
+        (lambda text: packed(b'{"frames":[1],"title":5}'), ""),
+        (lambda text: packed(b'{"frames":1,"title":"x"}'), ""),
+        (lambda text: packed(b"[" * 300_000), ""),
+        (lambda text: packed(b" " * 200_000_000), ""),
+        (lambda text: packed(b'{"title":"x","frames":[' + b"[]," * 3_000_000 + b"[]]}"), ""),
+    ],
+    ids=range(10),
+)
+def test_a_page_that_is_none_is_refused(change: Callable[[str], str], words: str, page: Path, tmp_path: Path) -> None:
+    (tmp_path / "p.html").write_text(change(page.read_text()))
+    with pytest.raises(ReplayError, match=rf"p\.html.*{words}"):
+        read_page(tmp_path / "p.html")
+
+
+@pytest.mark.parametrize("title", ["{{player}}{{run}}{{style}}{{version}}{{title}}", r"\1 \g<0>", "<script>x</script>"])
+def test_a_title_stays_as_it_is_and_cannot_break_the_page(title: str, tmp_path: Path) -> None:
+    write_page({"frames": [1], "title": title}, tmp_path / "p.html")
+    assert f'<h1 id="title">{html.escape(title)}</h1>' in (tmp_path / "p.html").read_text()
+    assert "<script>x" not in (tmp_path / "p.html").read_text()
+    assert read_page(tmp_path / "p.html")["title"] == title
 
 
 def test_an_environment_with_velocities_is_recorded_too(tmp_path: Path) -> None:
@@ -162,9 +151,6 @@ def test_an_environment_with_velocities_is_recorded_too(tmp_path: Path) -> None:
     env.close()
     assert sorted(path.name for path in tmp_path.iterdir()) == ["episode-0000.html", "episode-0002.html"]
     assert len(read_page(tmp_path / "episode-0002.html")["frames"]) == 5
-
-
-def test_other_environments_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="expected a mecp_env environment"):
         RecordReplay(gym.make("CartPole-v1"), tmp_path)
 
@@ -209,42 +195,14 @@ def test_the_pointer_tells_why(kept: tuple[Path, list[Any]]) -> None:
 
 @needs_browser
 def test_a_browser_that_cannot_play_it_says_so(kept: tuple[Path, list[Any]], tmp_path: Path) -> None:
-    damaged, text = tmp_path / "page.html", kept[0].read_text()
-    middle = text.index('data-version="1">') + 200
-    damaged.write_text(text[:middle] + "AAAA" + text[middle + 4 :])
+    spoilt = tmp_path / "page.html"
+    spoilt.write_text(damaged(kept[0].read_text()))
     for script, page, words in (
         ("HTMLCanvasElement.prototype.getContext = undefined", kept[0], "cannot draw (no canvas)"),
         ("delete window.DecompressionStream", kept[0], "cannot unpack the run"),
-        ("0", damaged, "cannot be played"),
+        ("0", spoilt, "cannot be played"),
     ):
         with Browser() as browser:
             browser.before_pages(script)
             browser.show(page)
             browser.wait(f"document.getElementById('trouble')?.textContent.includes({words!r})")
-
-
-@pytest.mark.parametrize("mark", ["{{player}}", "{{run}}", "{{style}}", "{{version}}", "{{title}}", r"\\1 \\g<0>"])
-def test_a_title_stays_as_it_is(mark: str, tmp_path: Path) -> None:
-    write_page({"frames": [1], "title": mark}, tmp_path / "p.html")
-    assert f'<h1 id="title">{html.escape(mark)}</h1>' in (tmp_path / "p.html").read_text()
-    assert read_page(tmp_path / "p.html")["title"] == mark
-
-
-@pytest.mark.parametrize(
-    "raw",
-    [
-        b'{"frames":[1]}',
-        b'{"frames":[1],"title":5}',
-        b'{"frames":1,"title":"x"}',
-        b"[" * 300_000,
-        b" " * 200_000_000,
-        b'{"title":"x","frames":[' + b"[]," * 3_000_000 + b"[]]}",
-    ],
-    ids=["no title", "a number as title", "frames that are none", "nesting", "blanks", "lists"],
-)
-def test_a_page_of_another_hand_is_refused(raw: bytes, tmp_path: Path) -> None:
-    packed = base64.b64encode(gzip.compress(raw)).decode()
-    page = tmp_path / "p.html"
-    page.write_text(f'<script id="run" type="text/plain" data-version="1">{packed}</script>')
-    with pytest.raises(ReplayError, match=r"p\.html"):
-        read_page(page)

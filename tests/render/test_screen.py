@@ -19,6 +19,7 @@ from mecp_env.render.shapes import loops, signed_area
 from mecp_env.render.window import Window
 from mecp_env.slam.messages import Cell
 from tests.render import scene
+from tests.slam import make
 
 
 def share(frame: np.ndarray, colour: palette.RGB) -> float:
@@ -27,7 +28,8 @@ def share(frame: np.ndarray, colour: palette.RGB) -> float:
 
 
 def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
-    frame = Screen(ScreenConfig(width_px=800, height_px=400)).frame(scene.view())
+    screen = Screen(ScreenConfig(width_px=800, height_px=400))
+    frame = screen.frame(scene.view())
     assert frame.shape == (400, 800, 3)
     assert frame.dtype == np.uint8
     assert frame.flags.c_contiguous
@@ -36,20 +38,12 @@ def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
     assert share(left, palette.SOLID) > 0.01
     assert share(right, palette.UNSEEN) > 0.2
     assert share(right, palette.ESTIMATE) > 0.001
-
-
-def test_the_same_moment_gives_the_same_frame_and_another_one_does_not() -> None:
-    screen = Screen()
-    first = screen.frame(scene.view())
-    assert np.array_equal(first, screen.frame(scene.view()))
-    assert not np.array_equal(first, screen.frame(scene.view(T_world_robot=np.array([1.5, 3.0, 2.0]))))
-
-
-def test_a_frame_of_an_empty_belief_can_be_drawn() -> None:
-    output = scene.output()
-    belief = replace(output.belief, ids=np.empty(0, np.int64), p_map=np.empty((0, 2)), covs=np.empty((0, 2, 2)))
-    view = scene.view(slam_output=replace(output, belief=belief, map_polygons=()), p_goals=np.empty((0, 2)), metrics={})
-    assert Screen().frame(view).any()
+    assert np.array_equal(frame, screen.frame(scene.view()))
+    assert not np.array_equal(frame, screen.frame(scene.view(T_world_robot=np.array([1.5, 3.0, 2.0]))))
+    empty = replace(scene.output(), belief=make.belief(scene.output().belief.T_map_robot), map_polygons=())
+    assert screen.frame(scene.view(slam_output=empty, p_goals=np.empty((0, 2)), metrics={})).any()
+    with pytest.raises(ConfigError, match="width_px"):
+        ScreenConfig(width_px=10)
 
 
 def test_frames_need_no_display_and_no_window() -> None:
@@ -94,11 +88,6 @@ def test_the_grid_lies_where_the_world_is_with_rows_upwards() -> None:
     assert colour_at(6.5, 0.5) == palette.mix(palette.FREE, palette.room_colour(1), 0.2)
     assert colour_at(8.5, 2.0) == palette.UNSEEN
     assert (view.slam_output.grid.label == Cell.DOOR).any()
-
-
-def test_sizes_out_of_bounds_are_refused() -> None:
-    with pytest.raises(ConfigError, match="width_px"):
-        ScreenConfig(width_px=10)
 
 
 def test_a_thumbnail_shows_the_belief_below_two_lines_of_text() -> None:
