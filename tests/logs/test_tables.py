@@ -173,6 +173,6 @@ def test_a_list_in_a_cell_and_what_messages_say_of_the_laser(tmp_path: Path) -> 
 def test_readings_that_no_laser_has_in_metres(tmp_path: Path, unit: str, factor: float) -> None:
     _, _, ranges = drive()
     texts = [",".join(f"{factor * r:.6f}" for r in one) for one in ranges]
-    log = read_log(written(tmp_path / "a.csv", DEGREES, texts))
+    log = read_log(written(tmp_path / "a.csv", BEARINGS_DEG, texts))
     np.testing.assert_allclose(log.ranges, ranges, atol=1e-6)
     assert any(f"taken for {unit}" in note for note in log.notes)
