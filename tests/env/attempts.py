@@ -19,7 +19,6 @@ from tests.env.helpers import episode_of, world_of
 
 Array = NDArray[np.float64]
 Drive = Iterator[tuple[float, float]]
-MEASURED = ("area", "pose_information", "landmark_information")
 
 
 @dataclass
@@ -62,12 +61,6 @@ def spin(env: MecpEnv, rng: np.random.Generator) -> Drive:
         yield 0.0, 1.0
 
 
-def swing(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """Left and right, alternating."""
-    for step in range(10**6):
-        yield 0.0, 1.0 if step % 16 < 8 else -1.0
-
-
 def shuttle(env: MecpEnv, rng: np.random.Generator) -> Drive:
     """Through the door of the first room and back."""
     start = world_of(env).T_world_robot[:2]
@@ -98,14 +91,6 @@ def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
             yield 0.0, 0.8
 
 
-def sprawl(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """Spin as fast as possible while scraping along walls: the largest heading error per metre."""
-    while True:
-        for turn in (1.0, -1.0):
-            for _ in range(int(rng.integers(4, 12))):
-                yield 1.0, turn
-
-
 def walk(env: MecpEnv, rng: np.random.Generator) -> Drive:
     """A random walk."""
     while True:
@@ -116,7 +101,7 @@ def walk(env: MecpEnv, rng: np.random.Generator) -> Drive:
 
 
 ATTEMPTS: dict[str, Callable[[MecpEnv, np.random.Generator], Drive]] = {
-    attempt.__name__: attempt for attempt in (stand, spin, swing, shuttle, blind, bump, sprawl, walk)
+    attempt.__name__: attempt for attempt in (stand, spin, shuttle, blind, bump, walk)
 }
 
 

@@ -47,37 +47,33 @@ def run(
 
 
 @pytest.mark.parametrize("metric", ["coverage", "correct_coverage"])
-@pytest.mark.parametrize("shaping", [0.0, 0.3])
-@pytest.mark.parametrize("end", [{}, {"coverage": 0.6}])
+@pytest.mark.parametrize(("shaping", "end"), [(0.0, {}), (0.3, {"coverage": 0.6})])
 def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: float, end: dict[str, float]) -> None:
-    env = make(layout="two_rooms", max_steps=60, end=end, reward={"preset": metric, "shaping": shaping, **TRUTH})
-    for seed in range(3):
-        rewards, info = run(env, seed)
+    keywords = {"layout": "two_rooms", "max_steps": 60, "end": end}
+    env = make(**keywords, reward={"preset": metric, "shaping": shaping, **TRUTH})
+    paced, moved = make(**keywords, reward={"preset": metric, "pace": 1.0, **TRUTH}), []
+    for seed, speed in enumerate((0.5, 1.0)):
+        rewards, info = run(env, seed, speed=speed)
         assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"], abs=1e-9)
         assert 0.0 < sum(rewards) <= 1.0
+        rewards, info = run(paced, speed=speed)
+        moved.append(sum(rewards) - info[f"{metric}_over_steps"])
+    assert moved == pytest.approx([moved[0]] * 2, abs=1e-9)  # pace moves the return by what no action changes
+    assert -1.0 < moved[0] < 0.0
 
 
-@pytest.mark.parametrize("metric", ["coverage", "correct_coverage"])
-@pytest.mark.parametrize("end", [{}, {"coverage": 0.6}])
-def test_pace_moves_the_return_by_what_no_action_changes(metric: str, end: dict[str, float]) -> None:
-    env = make(layout="two_rooms", max_steps=60, end=end, reward={"preset": metric, "pace": 1.0, **TRUTH})
-    for seed in range(3):
-        moved = []
-        for speed in (0.0, 0.5, 1.0):
-            rewards, info = run(env, seed, speed=speed)
-            moved.append(sum(rewards) - info[f"{metric}_over_steps"])
-        assert moved == pytest.approx([moved[0]] * 3, abs=1e-9)
-        assert -1.0 < moved[0] < 0.0
-
-
-def test_at_pace_1_a_step_costs_what_is_missing() -> None:
-    config, shares, limit = RewardConfig(preset="coverage", pace=1.0), [0.1, 0.3, 0.2, 0.5], 3
-    memory = MetricMemory()
-    start_metrics(memory, inputs_of(shares[0], 1.0), config)
-    memory.owed.clear()
-    for step, (before, share) in enumerate(pairwise(shares), start=1):
-        terms = metric_terms(memory, inputs_of(share, 1.0 - step / limit), config)
-        assert terms["coverage"] + terms["pace"] == pytest.approx(-(1.0 - before) / limit)
+def test_rewards_are_those_of_the_formula_and_at_pace_1_a_step_costs_what_is_missing() -> None:
+    shares, limit, paid = [0.1, 0.3, 0.2, 0.5], 3, []
+    for pace in (0.0, 1.0):
+        config, memory = RewardConfig(preset="coverage", pace=pace), MetricMemory()
+        start_metrics(memory, inputs_of(shares[0], 1.0), config)
+        memory.owed.clear()
+        for step, (before, share) in enumerate(pairwise(shares), start=1):
+            terms = metric_terms(memory, inputs_of(share, 1.0 - step / limit), config)
+            paid += [terms["coverage"]] if pace == 0.0 else []
+            assert pace == 0.0 or terms["coverage"] + terms["pace"] == pytest.approx(-(1.0 - before) / limit)
+    assert paid == pytest.approx([0.2 * 2 / 3, -0.1 * 1 / 3, 0.0])
+    assert 0.1 + sum(paid) == pytest.approx(np.mean(shares[:limit]))
 
 
 def test_after_the_end_nothing_can_be_earned() -> None:
@@ -96,27 +92,11 @@ def test_the_belief_pays_nearly_what_the_truth_pays() -> None:
     assert sum(by_belief) == pytest.approx(sum(by_truth), rel=0.1)
 
 
-def test_rewards_are_those_of_the_formula() -> None:
-    config, shares, limit = RewardConfig(preset="coverage"), [0.1, 0.3, 0.2, 0.5], 3
-    memory = MetricMemory()
-    start_metrics(memory, inputs_of(shares[0], 1.0), config)
-    paid = [
-        metric_terms(memory, inputs_of(share, 1.0 - step / limit), config)["coverage"]
-        for step, share in enumerate(shares[1:], start=1)
-    ]
-    assert paid == pytest.approx([0.1 + 0.2 * 2 / 3, -0.1 * 1 / 3, 0.0])
-    assert sum(paid) == pytest.approx(np.mean(shares[:limit]))
-
-
-def test_floor_beyond_the_building_counts_once() -> None:
+def test_floor_beyond_the_building_counts_once_and_the_nearest_goal() -> None:
     memory = MetricMemory(floor_m2=2.0 * FREE_M2)
     inputs = inputs_of(None, 1.0)
     assert coverage(memory, inputs) == 1.0
     assert coverage(memory, inputs._replace(diverged=True)) == 0.0
-
-
-def test_nearness_of_the_nearest_goal() -> None:
-    inputs = inputs_of(0.0, 1.0)
     assert nearness(inputs) == 0.0
     near = inputs._replace(p_goals=np.array([[3.0, 4.0], [30.0, 0.0]]))
     assert nearness(near) == pytest.approx(np.exp(-5.0 / NEAR_M))
@@ -148,12 +128,8 @@ def test_presets_and_what_contradicts_them() -> None:
             EnvConfig(reward={"preset": "coverage", name: value})
     with pytest.raises(ConfigError, match="did you mean 'coverage'"):
         EnvConfig(reward="covrage")
-
-
-@pytest.mark.parametrize("preset", ["coverage", "correct_coverage", "terms", "active_terms"])
-def test_a_preset_survives_json(preset: str) -> None:
-    config = EnvConfig(reward=preset)
-    assert EnvConfig.build(config.to_dict()) == config
+    for preset in ("coverage", "correct_coverage", "terms", "active_terms"):
+        assert EnvConfig.build(EnvConfig(reward=preset).to_dict()) == EnvConfig(reward=preset)
 
 
 def inputs_of(share: float | None, budget: float) -> RewardInputs:

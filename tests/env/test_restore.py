@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from benchmarks import restore
-from mecp_env.core.errors import ConfigError
 from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.slam.map_file import SlamMap
 from tests.env.helpers import drive, episode_of, make, same
@@ -50,11 +49,9 @@ def test_a_door_that_a_wall_fills(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("path", "value"),
     [
-        (("step_count",), 2**70),
         (("step_count",), 2**60),
         (("grid", "completed"), ("a", "b")),
         (("grid", "completed"), (-1,)),
-        (("grid", "canvas", "resolution_m"), 0.0),
         (("grid", "canvas", "resolution_m"), 1e-9),
     ],
 )
@@ -69,10 +66,3 @@ def test_a_map_that_would_fail_in_a_step_is_refused(path: tuple[str, ...], value
     setattr(owner, path[-1], value)
     with pytest.raises(MapError, match=path[-1]):
         SlamMap.of(pipeline)
-
-
-@pytest.mark.parametrize("given", [{}, [], np.array([]), 3])
-@pytest.mark.parametrize("key", ["difficulty", "split"])
-def test_a_name_that_is_no_text_is_named(key: str, given: object) -> None:
-    with pytest.raises(ConfigError, match=key):
-        gym.make("mecp_env/Rooms-v0", **{key: given})

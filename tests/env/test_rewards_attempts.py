@@ -5,14 +5,13 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-import numpy as np
 import pytest
 
 from mecp_env.config import REWARD_PRESETS, RewardConfig
 from tests.env.attempts import ATTEMPTS, Episode, attempt, explore
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2, 3))]
+SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 WEIGHTS = RewardConfig(preset="terms")
 BUILDINGS: dict[str, dict[str, Any]] = {
     "paper": {"layout": "paper", "laser": {"sweeps": 1}},
@@ -64,16 +63,18 @@ def test_an_attempt_loses_where_maps_go_wrong_more_easily(name: str, building: s
     assert given < 0.5 * other  # together: an honest robot that loses its pose is not paid for completion, either
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_driving_blind_until_the_filter_diverges_loses_all(seed: int) -> None:
-    laser = {"sweeps": 1, "max_range_m": 2.5}
-    keywords = {"layout": "paper", "laser": laser, "odometry": {"scale": 8.0}, "reward": "terms"}
-    slam = {"filter": {"diverged_sigma_m": 0.4}}
-    lost = attempt("blind", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
-    idle = attempt("stand", seed, start="random", max_steps=STEPS, slam=slam, **keywords)
+@pytest.mark.parametrize("reward", ["terms", "coverage", "correct_coverage"])
+def test_driving_blind_until_the_filter_diverges_loses_all(reward: str) -> None:
+    keywords = {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}}
+    keywords |= {"start": "random", "max_steps": STEPS, "slam": {"filter": {"diverged_sigma_m": 0.4}}}
+    lost, idle = attempt("blind", 0, reward=reward, **keywords), attempt("stand", 0, reward=reward, **keywords)
     assert lost.last["diverged"]
-    assert lost.paid("area") < 0.0  # the map of the start as well
-    assert lost.paid() < WEIGHTS.time * 3000 < idle.paid()  # worse than standing still for a whole episode
+    if reward == "terms":
+        assert lost.paid("area") < 0.0  # the map of the start as well
+        assert lost.paid() < WEIGHTS.time * 3000 < idle.paid()  # worse than standing still for a whole episode
+    else:
+        assert lost.paid(reward) < idle.paid(reward)
+        assert lost.rewards[-1][reward] < 0.0
 
 
 def test_breadth_first_earns_most_and_time_counts() -> None:
@@ -87,21 +88,12 @@ def test_breadth_first_earns_most_and_time_counts() -> None:
 
 def test_to_complete_earlier_earns_more() -> None:
     keywords = {"layout": "two_rooms", "laser": {"sweeps": 1}, "reward": "terms"}
-    gains = []
-    for seed in range(6):
+    for seed in range(2):
         soon, late = explore(seed, **keywords), explore(seed, waits=40, **keywords)
         assert soon.paid("completion") == pytest.approx(late.paid("completion"), rel=0.05)
         assert soon.paid("completion") > 3.0  # 10 for 100 m^2, of 45
         assert soon.paid("time") == pytest.approx(late.paid("time") - 40 * WEIGHTS.time, abs=0.03)
-        gains.append(soon.paid() - late.paid())
-    assert min(gains) > 0.0
-    assert np.mean(gains) > 0.1  # 0.2 for the time; standing still makes the pose a little surer, which pays, too
-
-
-def test_a_bigger_map_completes_for_more() -> None:
-    small, big = explore(0, layout="two_rooms", laser={"sweeps": 1}, reward="terms"), honest("paper", 0)
-    assert big.paid("completion") > 4.0 * small.paid("completion") > 0.0
-    assert np.isclose(big.paid("completion"), 10.0 * big.free_m2 / 100.0, rtol=0.1)
+        assert soon.paid() > late.paid()
 
 
 POTENTIALS = ("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality")
@@ -110,9 +102,7 @@ IN_TASK = {
     "laser": {"sweeps": 1, "max_range_m": 4.0},
     "reward": {"preset": "active_terms"} | dict.fromkeys(POTENTIALS, 1.0),
 }
-OPTIMALITY_NAT = (
-    4.0  # by which an episode changes a criterion at most; ln(3) / 2 of it as all of the start pose is exact
-)
+OPTIMALITY_NAT = 4.0  # by which an episode changes a criterion at most; ln(3) / 2 as all of the start pose is exact
 
 
 def paid_by_task(episode: Episode) -> float:
@@ -121,46 +111,22 @@ def paid_by_task(episode: Episode) -> float:
     return episode.paid() - episode.paid(*POTENTIALS) + area
 
 
-@pytest.fixture(scope="module")
-def explored() -> Episode:
-    return explore(0, **IN_TASK)
-
-
-@pytest.mark.parametrize("name", ["stand", "spin", "shuttle", "bump", "walk"])
-def test_a_map_pays_more_than_any_attempt_and_optimality_pays_little(name: str, explored: Episode) -> None:
+def test_a_map_pays_more_than_any_attempt_and_optimality_pays_little() -> None:
     """Criteria of optimality alone favour a robot that stays: standing earns most, but only once."""
-    given = attempt(name, 0, max_steps=150, **IN_TASK)
-    assert paid_by_task(given) < 0.3 * paid_by_task(explored)
-    for term in ("expected_area", "entropy"):
-        assert given.paid(term) < 0.5 * explored.paid(term)
-    for term in ("d_optimality", "a_optimality", "t_optimality"):
-        assert max(abs(given.paid(term)), abs(explored.paid(term))) < OPTIMALITY_NAT
-
-
-METRICS = ("coverage", "correct_coverage")
-
-
-def scored(metric: str, name: str, seed: int) -> float:
-    """The return of an attempt, or of the honest explorer, under the preset of a metric."""
-    keywords = {"start": "random", "max_steps": 2 * STEPS, "reward": metric, **BUILDINGS["paper"]}
-    return (explore(seed, **keywords) if name == "explore" else attempt(name, seed, **keywords)).paid()
+    explored = explore(0, **IN_TASK)
+    for name in ("stand", "shuttle", "bump"):
+        given = attempt(name, 0, max_steps=150, **IN_TASK)
+        assert paid_by_task(given) < 0.3 * paid_by_task(explored)
+        for term in ("expected_area", "entropy"):
+            assert given.paid(term) < 0.5 * explored.paid(term)
+        for term in ("d_optimality", "a_optimality", "t_optimality"):
+            assert max(abs(given.paid(term)), abs(explored.paid(term))) < OPTIMALITY_NAT
 
 
 @pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("metric", METRICS)
+@pytest.mark.parametrize("metric", ["coverage", pytest.param("correct_coverage", marks=pytest.mark.slow)])
 def test_under_a_metric_every_attempt_earns_less_than_exploring(metric: str, seed: int) -> None:
-    honest = scored(metric, "explore", seed)
-    tries = {name: scored(metric, name, seed) for name in ("stand", "spin", "shuttle", "bump", "walk")}
-    assert max(tries.values()) < 0.9 * honest
-    assert tries["stand"] <= min(tries["walk"], tries["shuttle"]) + 0.1  # penalties are bounded by .1 each
-
-
-@pytest.mark.parametrize("metric", METRICS)
-def test_a_diverged_filter_gives_back_what_it_had(metric: str) -> None:
-    laser = {"sweeps": 1, "max_range_m": 2.5}
-    keywords = {"layout": "paper", "laser": laser, "odometry": {"scale": 8.0}, "reward": metric, "start": "random"}
-    keywords |= {"max_steps": STEPS, "slam": {"filter": {"diverged_sigma_m": 0.4}}}
-    lost, idle = attempt("blind", 0, **keywords), attempt("stand", 0, **keywords)
-    assert lost.last["diverged"]
-    assert lost.paid(metric) < idle.paid(metric)
-    assert lost.rewards[-1][metric] < 0.0
+    keywords = {"start": "random", "max_steps": 2 * STEPS, "reward": metric, **BUILDINGS["paper"]}
+    tries = {name: attempt(name, seed, **keywords).paid() for name in ("stand", "spin", "shuttle", "bump")}
+    assert max(tries.values()) < 0.9 * explore(seed, **keywords).paid()
+    assert tries["stand"] <= tries["shuttle"] + 0.1  # penalties are bounded by .1 each

@@ -11,7 +11,7 @@ import pytest
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
-from tests.env.helpers import episode_of
+from tests.env.helpers import episode_of, same
 
 HALLS = "mecp_env/ActiveHalls-v0"
 
@@ -52,24 +52,25 @@ def test_fields_of_a_task_are_overridden_one_by_one() -> None:
     assert config.layout["generate"]["loops"] == 2
     with pytest.raises(ConfigError, match="romms"):
         make(romms=4)
-
-
-def test_old_ids_have_neither_rows_nor_columns() -> None:
-    env = make("mecp_env/Rooms-v0", actions="goal")
-    observation, _ = env.reset(seed=0)
+    observation, _ = make("mecp_env/Rooms-v0", actions="goal").reset(seed=0)  # neither rows nor columns
     assert observation["goals"].shape == (32, 9)
     assert "localisation" not in observation
     assert observation["goals"][:, KIND].max() < PLACE
 
 
-def test_places_can_be_driven_to_and_are_masked_like_goals() -> None:
-    env = make()
+def test_places_can_be_driven_to_have_predictions_and_continue_bit_for_bit() -> None:
+    env, other = make(), make()
     observation, _ = explored(env, 12)
-    masks = env.get_wrapper_attr("action_masks")()
-    assert np.array_equal(masks, observation["goals"][:, VALID] > 0.5)
+    rows = observation["goals"][observation["goals"][:, VALID] > 0.5]
+    assert np.array_equal(env.get_wrapper_attr("action_masks")(), observation["goals"][:, VALID] > 0.5)
+    assert ((rows[:, [SIGMA, SIGMA_RAD]] > 0.0) & (rows[:, [SIGMA, SIGMA_RAD]] < 1.0)).all()
+    assert (rows[:, GAIN] >= 0.0).all()
     place = of_kind(PLACE, observation)[0]
     there = env.unwrapped.goals.p_map[place]
-    _, _, _, _, info = env.step(int(place))
+    other.reset(seed=9)
+    other.unwrapped.set_state(env.unwrapped.get_state())
+    *row, info = env.step(int(place))
+    assert same(row, list(other.step(int(place))[:-1]))
     assert info["event"] == "reached"
     assert np.hypot(*(env.unwrapped.slam_output.belief.T_map_robot[:2] - there)) < 1.0
 
@@ -77,32 +78,12 @@ def test_places_can_be_driven_to_and_are_masked_like_goals() -> None:
 def test_waiting_takes_its_steps_and_keeps_the_robot_where_it_is() -> None:
     env = make()
     observation, info = explored(env, 4)
-    wait = of_kind(WAIT, observation)
     before, metres = info["period"], info["metres"]
-    observation, reward, _, _, info = env.step(int(wait[0]))
+    observation, reward, _, _, info = env.step(int(of_kind(WAIT, observation)[0]))
     assert (info["event"], info["periods"], info["period"]) == ("waited", 5, before + 5)
     assert info["metres"] == pytest.approx(metres, abs=0.5)  # until it stands
     assert reward == pytest.approx(0.0, abs=0.02)
     assert len(of_kind(WAIT, observation)) == 1
-
-
-def test_predictions_are_finite_and_grow_with_the_way_into_the_unknown() -> None:
-    observation, _ = explored(make(), 10)
-    rows = observation["goals"][observation["goals"][:, VALID] > 0.5]
-    assert (rows[:, [SIGMA, SIGMA_RAD]] > 0.0).all()
-    assert (rows[:, [SIGMA, SIGMA_RAD]] < 1.0).all()
-    assert (rows[:, GAIN] >= 0.0).all()
-
-
-def test_an_episode_of_a_task_continues_bit_for_bit_from_its_state() -> None:
-    env, other = make(), make()
-    explored(env, 6)
-    other.reset(seed=9)
-    other.unwrapped.set_state(env.unwrapped.get_state())
-    rows = [env.step(0), env.step(1)], [other.step(0), other.step(1)]
-    for one, two in zip(*rows, strict=True):
-        assert all(np.array_equal(one[0][name], two[0][name]) for name in one[0])
-        assert one[1] == two[1]
 
 
 def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:

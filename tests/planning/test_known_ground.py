@@ -51,9 +51,11 @@ def kinds(goals: Goals) -> list[int]:
     return goals.kind.tolist()
 
 
-def test_without_known_ground_the_goals_stay_as_they_are() -> None:
+def test_without_places_the_goals_stay_as_they_are_and_waiting_costs_no_way() -> None:
     goals = Goals.of([Goal(GoalKind.FRONTIER, 1.0, 1.0, 1.0, 0)])
     assert offered(goals=goals, places=0, wait_steps=0) is None
+    waiting = offered(places=0)
+    assert (kinds(waiting), waiting.path_m.tolist(), waiting.p_map.tolist()) == ([WAIT], [0.0], [[10.0, 5.0]])
 
 
 def test_exploration_comes_first_then_places_then_waiting() -> None:
@@ -113,13 +115,6 @@ def test_a_place_that_was_refused_is_not_offered_again_but_one_that_was_visited_
         history.record(rows, row, Outcome.REFUSED, CONFIG.goals)
     again = offered(history=history)
     assert not any(math.dist(p, rows.p_map[row]) < 0.1 for p in again.p_map[again.kind == PLACE])
-
-
-def test_waiting_costs_no_way() -> None:
-    rows = offered(places=0)
-    assert kinds(rows) == [WAIT]
-    assert rows.path_m.tolist() == [0.0]
-    assert rows.p_map[0].tolist() == [10.0, 5.0]
 
 
 def test_before_anything_is_mapped_nothing_is_offered() -> None:

@@ -74,6 +74,8 @@ def test_without_landmarks_the_position_is_that_of_dead_reckoning() -> None:
     assert far.sigma_rad == pytest.approx(turn * math.sqrt(metres), rel=0.05)
     assert far.gain_nat == 0.0
     assert predicted(4.0, []).sigma_m < far.sigma_m
+    nowhere = predicted(40.0, [])  # without a path: where the robot is
+    assert nowhere.sigma_m == 0.0 or nowhere.sigma_m == pytest.approx(1e-3)
 
 
 def test_landmarks_on_the_way_keep_the_pose_and_gain_information() -> None:
@@ -92,12 +94,6 @@ def test_landmarks_mapped_from_this_pose_hardly_correct_it() -> None:
     goal = Goal(GoalKind.WAIT, 1.0, 0.0, 0.0, 0)
     predict([goal], [REACH_M], costs, belief, CONFIG)
     assert 0.15 < goal.sigma_m <= 0.2
-
-
-def test_a_goal_without_a_path_is_predicted_where_the_robot_is() -> None:
-    goal = predicted(40.0, [])
-    assert goal.sigma_m == 0.0 or goal.sigma_m == pytest.approx(1e-3)
-    assert goal.gain_nat == 0.0
 
 
 def test_waypoints_are_on_the_path_and_end_at_both_ends() -> None:

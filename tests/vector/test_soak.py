@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import mmap
 import multiprocessing
 import os
 import re
@@ -33,24 +32,6 @@ def footprint(venv: BatchEnv) -> tuple[float, int]:
     pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in pids]
     kilobytes = sum(int(re.findall(r"\nAnonymous:\s+(\d+)", page)[0]) for page in pages)
     return kilobytes / 1e3, sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids)
-
-
-def test_what_is_kept_is_noticed() -> None:
-    venv = make_small(2)
-    memory, files = footprint(venv)
-    venv.each(keep, [(40,), (40,)])
-    grown, left = footprint(venv)
-    venv.close()
-    assert 75.0 < grown - memory < 100.0
-    assert left == files + 2
-
-
-def keep(env: gymnasium.Env[Any, Any], megabytes: int) -> None:
-    """Leak memory and a file; the memory is new, none that a process had freed and kept for itself."""
-    pages = mmap.mmap(-1, megabytes * 1_000_000, flags=mmap.MAP_PRIVATE | mmap.MAP_ANONYMOUS)
-    pages.write(bytes(megabytes * 1_000_000))
-    kept = pages, os.open(__file__, os.O_RDONLY)
-    env.unwrapped.kept = kept  # type: ignore[attr-defined]
 
 
 def drive(venv: BatchEnv, steps: int) -> None:
