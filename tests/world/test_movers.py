@@ -75,24 +75,22 @@ def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
         yield simulation.step(v, w).contact
 
 
-@pytest.mark.parametrize("polite", [True, False])
-@pytest.mark.parametrize("name", ["paper", "furnished", "office"])
+@pytest.mark.parametrize(("name", "polite"), [("paper", True), ("furnished", False), ("office", True)])
 def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) -> None:
     simulation, movers = world(name, polite=polite)
     walked = np.zeros(len(movers.state.pedestrians))
-    for _ in random_drive(simulation, 400):
+    for _ in random_drive(simulation, 250):
         pedestrians = movers.state.pedestrians
         for walker in pedestrians:
             assert wall_distance(OUTLINES[name].segments, walker[0], walker[1]) > walker[crowd.RADIUS] - 1e-6
-            assert OUTLINES[name].free_area.contains(shapely.Point(walker[:2]))
+        assert shapely.contains_xy(OUTLINES[name].free_area, *pedestrians[:, :2].T).all()
         assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
         walked += np.hypot(*(pedestrians[:, :2] - pedestrians[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
-    assert walked.mean() > 20.0  # m in 160 s: they do walk
+    assert walked.mean() > 12.0  # m in 100 s: they do walk
 
 
-@pytest.mark.parametrize("seed", range(3))
-def test_polite_pedestrians_never_touch_a_robot_that_stands(seed: int) -> None:
-    simulation, movers = world("two_rooms", seed, people=5)
+def test_polite_pedestrians_never_touch_a_robot_that_stands() -> None:
+    simulation, movers = world("two_rooms", 1, people=5)
     for _ in range(400):
         assert not simulation.step(0.0, 0.0).contact
         assert gaps(movers, simulation.T_world_robot[:2])[0].min() > 0.2
@@ -145,26 +143,15 @@ def test_pedestrians_go_from_room_to_room_through_doors() -> None:
     assert min(len(seen - {-1}) for seen in rooms) >= 2
 
 
-def test_the_same_state_gives_the_same_pedestrians() -> None:
-    simulation, movers = world("furnished", 5, movable_boxes=4)
-    for _ in random_drive(simulation, 60):
-        pass
-    twin, other = copy.deepcopy((simulation, movers))
-    for _ in zip(random_drive(simulation, 120, 7), random_drive(twin, 120, 7), strict=True):
-        assert movers.state.pedestrians.tobytes() == other.state.pedestrians.tobytes()
-        assert movers.state.boxes.tobytes() == other.state.boxes.tobytes()
-        assert simulation.get_state()["body"].tobytes() == twin.get_state()["body"].tobytes()
-
-
 def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
     outline = OUTLINES["two_rooms"]
     simulation, movers = with_box(outline, [2.5, 3.5, 0.3], [0.4, 0.5], [1.0, 3.5, 0.0])
     for _ in range(5):
         simulation.step(0.75, 0.0)
+    floor = outline.free_area.buffer(0.03)
     for step in range(40):
         simulation.step(0.75, 0.0)
-        corners = movers.box_corners
-        assert all(outline.free_area.buffer(0.03).contains(shapely.Point(corner)) for corner in corners), step
+        assert shapely.contains_xy(floor, *movers.box_corners.T).all(), step
     assert movers.state.boxes[0, 0] > 3.5
     for _ in range(10):
         simulation.step(-0.2, 0.0)
@@ -259,26 +246,23 @@ def crowded(boxes: int, seed: int) -> tuple[Simulation, Movers]:
     return simulation, movers
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("boxes", [0, 12])
 def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) -> None:
     """In pymunk the order of contacts depended on the past of the space: each control step has its own space now."""
     rng, touched = np.random.default_rng(0), 0
-    for seed in range(3):
-        simulation, movers = crowded(boxes, seed)
-        for _ in range(25):
-            touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
-            twin, other = copy.deepcopy((simulation, movers))
-            for v, w in rng.uniform([-0.3, -0.8], [0.75, 0.8], (4, 2)):
-                expected, found = simulation.step(v, w), twin.step(v, w)
-                assert found.increments.tobytes() == expected.increments.tobytes()
-                assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
-                assert other.state.boxes.tobytes() == movers.state.boxes.tobytes()
-                assert other.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
-    assert touched > 50
+    simulation, movers = crowded(boxes, 0)
+    for _ in range(10):
+        touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
+        twin, other = copy.deepcopy((simulation, movers))
+        for v, w in rng.uniform([-0.3, -0.8], [0.75, 0.8], (4, 2)):
+            assert twin.step(v, w).increments.tobytes() == simulation.step(v, w).increments.tobytes()
+            assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
+            assert other.state.boxes.tobytes() == movers.state.boxes.tobytes()
+            assert other.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
+    assert touched > 5
 
 
-@pytest.mark.parametrize("boxes", [0, 8])
+@pytest.mark.parametrize("boxes", [8])
 def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.MonkeyPatch, boxes: int) -> None:
     parts: list[tuple[Array, Array]] = []
 
