@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -39,7 +40,7 @@ def found(log: Log) -> Calibration:
     return calibration_of(log)
 
 
-@pytest.mark.parametrize("noise", [0.3, 1.0, 3.0, 5.0])
+@pytest.mark.parametrize("noise", [0.3, 1.0, 5.0])
 def test_known_errors_are_found(noise: float) -> None:
     true = odometry_of(noise)
     found = calibration_of(simulated_log(true, seed=3))
@@ -57,19 +58,15 @@ def test_known_errors_are_found(noise: float) -> None:
 
 
 def test_a_noisy_laser_is_noticed() -> None:
-    log = simulated_log(odometry_of(1.0), range_sigma_m=0.06, scans=300)
-    found = calibration_of(log)
+    found = calibration_of(simulated_log(odometry_of(1.0), range_sigma_m=0.06, scans=300))
     assert found.estimates["range_sigma_m"].source == "estimated"
     assert found.sensor.range_sigma_m == pytest.approx(0.06, rel=0.1)
 
 
 def test_scans_at_rest_and_close_to_each_other_change_little(log: Log, found: Calibration) -> None:
-    assert log.T_odom_robot is not None
     rows = np.repeat(np.arange(len(log)), 5)
-    rests = replace(
-        log, t=np.arange(5.0 * len(log)), ranges=log.ranges[rows], T_odom_robot=log.T_odom_robot[rows], T_ref_robot=None
-    )
-    assert calibration_of(rests).odometry == found.odometry
+    taken = {"ranges": log.ranges[rows], "T_odom_robot": log.T_odom_robot[rows], "T_ref_robot": None}
+    assert calibration_of(replace(log, t=np.arange(5.0 * len(log)), **taken)).odometry == found.odometry
     slow = calibration_of(simulated_log(odometry_of(1.0), step_m=0.03, scans=2500))
     assert slow.tried > 60
     assert slow.sensor.x_m == pytest.approx(0.08, abs=0.012)
@@ -100,10 +97,8 @@ def test_what_is_given_wins(log: Log, found: Calibration) -> None:
     assert kept.sensor.x_m == 0.2
     assert kept.odometry.distance_scale == 1.1
     assert kept.odometry.turn_sigma_deg == 4.5
-    assert (
-        kept.odometry.turn_sigma_turning_deg
-        == OdometryModel.of_noise(OdometryConfig(turn_sigma_deg=4.5)).turn_sigma_turning_deg
-    )
+    wide = OdometryModel.of_noise(OdometryConfig(turn_sigma_deg=4.5))
+    assert kept.odometry.turn_sigma_turning_deg == wide.turn_sigma_turning_deg
     assert kept.estimates["turn_sigma_deg"].source == "given"
     assert kept.estimates["distance_sigma_m"].source == "estimated"
     assert kept.estimates["turn_scale"].value == pytest.approx(found.estimates["turn_scale"].value, abs=0.02)
@@ -147,41 +142,31 @@ def test_what_scans_do_not_tell_keeps_its_default_by_name(log: Log) -> None:
         for name in set(FIELDS) - {"range_sigma_m"}:
             assert f"{name} " in note
         assert {estimate.source for estimate in found.estimates.values()} == {"default"}
-
-
-def test_one_wall_tells_no_distance(log: Log) -> None:
-    found = calibration_of(still_log(log, wall(log)))
-    assert found.estimates["distance_sigma_m"].source == "default"
-    assert found.estimates["distance_scale"].source == "default"
+    found = calibration_of(still_log(log, wall(log)))  # which tells no distance
+    assert found.estimates["distance_sigma_m"].source == found.estimates["distance_scale"].source == "default"
     assert "distance_scale 1" in found.notes[0]
 
 
 @pytest.mark.parametrize(
     ("change", "said"),
     [
-        (lambda poses: 0.0 * poses, "never moves"),
-        (
-            lambda poses: np.where(np.arange(len(poses))[:, None] > 50, poses + np.array([9.0, 0.0, 0.0]), poses),
-            r"odometry\[51\]",
-        ),
-        (lambda poses: np.where(np.arange(len(poses))[:, None] == 7, np.nan, poses), r"odometry\[7\]: not finite"),
-        (lambda poses: poses[:-1], "shape"),
+        (lambda poses, rows: 0.0 * poses, "never moves"),
+        (lambda poses, rows: poses + np.where(rows > 50, 1.0, 0.0) * [9.0, 0.0, 0.0], r"odometry\[51\]"),
+        (lambda poses, rows: np.where(rows == 7, np.nan, poses), r"odometry\[7\]: not finite"),
+        (lambda poses, rows: poses[:-1], "shape"),
     ],
 )
-def test_odometry_that_says_nothing_is_refused(log: Log, change: object, said: str) -> None:
+def test_odometry_that_says_nothing_is_refused(log: Log, change: Any, said: str) -> None:
     scans = [log.scan(row) for row in range(100)]
     with pytest.raises(SensorError, match=said):
-        mecp_env.calibrate(scans, change(log.T_odom_robot[:100]))
+        mecp_env.calibrate(scans, change(log.T_odom_robot[:100], np.arange(100)[:, None]))
 
 
-def test_a_log_whose_odometry_says_nothing_takes_the_defaults(log: Log) -> None:
+def test_a_log_whose_odometry_says_nothing_takes_the_defaults_and_an_invalid_scan_is_refused(log: Log) -> None:
     found = calibration_of(replace(log, T_odom_robot=0.0 * log.T_odom_robot))
     assert found.odometry == OdometryModel()
     assert "never moves" in found.notes[0]
     assert "distance_scale 1" in found.notes[0]
-
-
-def test_an_invalid_scan_is_refused(log: Log) -> None:
     scans = [log.scan(row) for row in range(100)]
     scans[3] = replace(scans[3], ranges=-scans[3].ranges)
     with pytest.raises(SensorError, match=r"scan.ranges"):

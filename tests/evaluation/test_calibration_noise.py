@@ -62,15 +62,12 @@ def test_the_covariance_is_that_of_the_registration_in_the_frame_of_the_course()
     motions, rng = exact(1), np.random.default_rng(2)
     values = np.array([1.0, 1.0, 0.0, 0.5, 0.3])
     course = np.array([0.7])
-    many = [
-        Motions(
-            motions.measured, motions.laser + rng.normal(size=(1, 3)) * [0.004, 0.004, 0.002], motions.cov, 5.0, 1, 1
-        )
-        for _ in range(4000)
-    ]
-    off = np.array([residuals(one, values, np.zeros(3), course).off[0] for one in many])
+    off = []
+    for noise in rng.normal(size=(4000, 1, 3)) * [0.004, 0.004, 0.002]:
+        one = Motions(motions.measured, motions.laser + noise, motions.cov, 5.0, 1, 1)
+        off.append(residuals(one, values, np.zeros(3), course).off[0])
     expected = residuals(motions, values, np.zeros(3), course).cov[0]
-    np.testing.assert_allclose(np.cov(off.T), expected, rtol=0.1, atol=6e-7)
+    np.testing.assert_allclose(np.cov(np.transpose(off)), expected, rtol=0.1, atol=6e-7)
 
 
 def test_the_true_values_are_fitted() -> None:

@@ -64,9 +64,6 @@ def test_scans_at_rest_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.T_odom_robot[-1], poses[-1], atol=1e-9)
     assert len(run_log(log, run=LogRunConfig(rest_m=0.0, rest_deg=0.0)).t) == 12
     assert len(run_log(log, run=LogRunConfig(first=2, scans=3)).t) == 2
-
-
-def test_noise_that_is_not_per_metre_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"LogRunConfig.noise.*per_metre expected"):
         LogRunConfig(noise={"reading": "per_step"})
 

@@ -98,9 +98,7 @@ def test_random_specifications_are_kept() -> None:
             furniture=float(rng.uniform(0.0, 2.0)),
             wall_thickness_m=(0.05, 0.3),
         )
-        layout = generate(spec, seed)
-        check_geometry(layout)
-        assert (len(layout.rooms), len(layout.doors)) == (rooms, rooms - 1 + spec.loops)
+        check(spec, generate(spec, seed))
 
 
 @pytest.mark.parametrize("shape", VERTICES)
@@ -164,15 +162,6 @@ def test_so_many_corners_are_slanted_as_declared(corners: int) -> None:
     for seed in range(20):
         spec = GeneratorSpec(rooms=3 + seed % 10, corridors=int(seed % 10 > 3), yards=seed % 3, slanted_corners=corners)
         check(spec, generate(spec, seed))
-
-
-def test_walls_are_as_thick_as_declared() -> None:
-    for low, high in ((0.05, 0.4), (0.1234, 0.1237), (0.12345, 0.12345)):
-        drawn = {
-            generate({"rooms": 2, "wall_thickness_m": (low, high)}, seed).walls[0].thickness_m for seed in range(25)
-        }
-        assert low <= min(drawn) <= max(drawn) <= high
-        assert len(drawn) > 20 or high - low < 0.01
 
 
 @pytest.mark.parametrize(
