@@ -59,11 +59,3 @@ def test_discrete_actions_move_as_they_are_called():
     assert np.allclose(ways["stop"], 0.0)
     assert (ways["forward"][0] > 0.3, ways["back"][0] < -0.3) == (True, True)
     assert (ways["left"][2] > 0.3, ways["right"][2] < -0.3) == (True, True)
-
-
-def test_two_seconds_at_full_speed_are_a_metre_and_a_half_less_the_acceleration():
-    env = make(laser={"preset": "ideal"}).unwrapped
-    env.reset(seed=0)
-    for _ in range(5):
-        _, _, _, _, info = env.step(np.array([1.0, 0.0], np.float32))
-    assert 1.0 < info["truth_pose"][0] < 1.5  # 0.75 m/s, reached at 1 m/s^2

@@ -111,12 +111,9 @@ def test_a_layout_is_a_name_a_path_a_layout_or_a_dict(form, tmp_path):
 
 @pytest.mark.parametrize("config", [EnvConfig(), EnvConfig.paper(), EnvConfig.build(laser={"preset": "lms200"})])
 def test_json_both_ways(config):
-    data = json.loads(config.to_json())
-    again = EnvConfig.build(data)
-    assert again == config
-    assert again.to_json() == config.to_json()
+    again = EnvConfig.build(json.loads(config.to_json()))
+    assert (again, again.to_json()) == (config, config.to_json())
     assert again.estimator_config == config.estimator_config
-    assert again.planning_config == config.planning_config
 
 
 def test_keywords_override_the_config_field_by_field():

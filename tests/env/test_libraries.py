@@ -109,18 +109,3 @@ def test_maskable_ppo_takes_goals_and_their_mask(observation: str) -> None:
         warnings.filterwarnings("ignore", "You provided an OpenAI Gym environment")
         model = contrib.MaskablePPO(POLICIES[observation], env, n_steps=16, batch_size=16)
         model.learn(16)
-
-
-@pytest.mark.parametrize("observation", [*FORMATS, "dict"])
-def test_torchrl_makes_and_drives_them(observation: str) -> None:
-    pytest.importorskip("torchrl", reason="torchrl is not installed")
-    from torchrl.envs import GymEnv
-    from torchrl.envs.utils import check_env_specs
-
-    env = GymEnv(LAYOUT, observation=observation, max_steps=5, **SMALL)
-    check_env_specs(env)
-    rollout = env.rollout(8)
-    assert rollout.batch_size == (5,)
-    assert rollout["next", "truncated"][-1]
-    assert ("observation" if observation != "dict" else "landmarks") in rollout.keys()  # noqa: SIM118
-    env.close()

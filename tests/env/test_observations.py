@@ -21,7 +21,7 @@ from mecp_env.episode.observations import (
     rooms_after_merges,
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
-from tests.env.helpers import drive, episode_of, make
+from tests.env.helpers import episode_of, make
 from tests.slam import make as carriers
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
@@ -181,20 +181,6 @@ def test_spaces_are_finite_of_the_promised_shapes_and_every_column_has_a_name():
         columns = {"grid": box.shape[0], "map": box.shape[0], "scan": 1}.get(name, box.shape[-1])
         assert len(COLUMNS[name]) == columns, name
     assert COLUMNS["goals"][9:] == PREDICTED
-
-
-def test_the_robot_stands_on_free_ground_of_its_room_on_its_path():
-    env = make(observation={"map": True, "scan": True})
-    env.reset(seed=1)
-    observation = drive(env, 12)[-1][0]
-    for part in ("grid", "map"):
-        n = observation[part].shape[-1] // 2
-        middle = observation[part][:, n - 1 : n + 1, n - 1 : n + 1].max(axis=(1, 2))
-        assert middle[LAYER["free"]] == 255
-        assert middle[LAYER["room"]] == 255
-        assert middle[LAYER["path"]] == 255
-    assert set(np.unique(observation["grid"])) == {0, 255}
-    assert 0.0 < observation["scan"].min() < 5.0
 
 
 def test_the_trail_grows_and_leaves_out_what_is_near():

@@ -13,33 +13,24 @@ from tests.env.attempts import ATTEMPTS, Episode, attempt, explore
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
 SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
 WEIGHTS = RewardConfig(preset="terms")
-BUILDINGS: dict[str, dict[str, Any]] = {
-    "paper": {"layout": "paper", "laser": {"sweeps": 1}},
-    "twins": {"layout": "twins", "laser": {"sweeps": 1}},  # rooms that look alike
-    "short-sighted": {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 4.0}, "odometry": {"scale": 4.0}},
-    "nearest": {
-        "layout": "paper",
-        "laser": {"sweeps": 1},
-        "slam": {"association": {"method": "nearest"}, "filter": {"kind": "ekf"}},
-    },
-}
+PAPER: dict[str, Any] = {"layout": "paper", "laser": {"sweeps": 1}, "start": "random"}
 
 
 @cache
-def honest(building: str, seed: int) -> Episode:
-    return explore(seed, start="random", max_steps=4 * STEPS, reward="terms", **BUILDINGS[building])
+def honest(seed: int) -> Episode:
+    return explore(seed, max_steps=4 * STEPS, reward="terms", **PAPER)
 
 
 @cache
-def tried(name: str, building: str, seed: int) -> Episode:
-    return attempt(name, seed, start="random", max_steps=STEPS, reward="terms", **BUILDINGS[building])
+def tried(name: str, seed: int) -> Episode:
+    return attempt(name, seed, max_steps=STEPS, reward="terms", **PAPER)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ATTEMPTS)
 def test_an_attempt_loses_by_episode_and_by_metre(name: str, seed: int) -> None:
-    given, other = tried(name, "paper", seed), honest("paper", seed)
+    given, other = tried(name, seed), honest(seed)
     as_far = max(given.metres[-1], 5.0)
     assert given.paid() < 0.2 * other.paid()
     assert given.paid() < other.paid(until_m=as_far)  # without the completion reward
@@ -49,18 +40,9 @@ def test_an_attempt_loses_by_episode_and_by_metre(name: str, seed: int) -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ATTEMPTS)
 def test_no_area_is_paid_that_there_is_not(name: str, seed: int) -> None:
-    given = tried(name, "paper", seed)
+    given = tried(name, seed)
     assert given.mapped_m2 <= 1.1 * given.seen_m2  # walls are mapped too
     assert given.paid("area") <= WEIGHTS.area * given.mapped_m2
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("building", ["twins", "short-sighted", "nearest"])
-@pytest.mark.parametrize("name", ATTEMPTS)
-def test_an_attempt_loses_where_maps_go_wrong_more_easily(name: str, building: str) -> None:
-    given = sum(tried(name, building, seed).paid() for seed in range(2))
-    other = sum(honest(building, seed).paid() for seed in range(2))
-    assert given < 0.5 * other  # together: an honest robot that loses its pose is not paid for completion, either
 
 
 @pytest.mark.parametrize("reward", ["terms", "coverage", "correct_coverage"])
@@ -79,7 +61,7 @@ def test_driving_blind_until_the_filter_diverges_loses_all(reward: str) -> None:
 
 def test_breadth_first_earns_most_and_time_counts() -> None:
     """Totals with default weights: exploring earns most, standing still costs time, a random walk costs contacts."""
-    stand, walk, other = tried("stand", "paper", 0), tried("walk", "paper", 0), honest("paper", 0)
+    stand, walk, other = tried("stand", 0), tried("walk", 0), honest(0)
     assert other.paid() > 30.0
     assert other.paid("area") + other.paid("completion") > 10.0 * abs(other.paid("time", "contact"))
     assert walk.paid() < stand.paid() < 0.0
@@ -126,7 +108,7 @@ def test_a_map_pays_more_than_any_attempt_and_optimality_pays_little() -> None:
 @pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("metric", ["coverage", pytest.param("correct_coverage", marks=pytest.mark.slow)])
 def test_under_a_metric_every_attempt_earns_less_than_exploring(metric: str, seed: int) -> None:
-    keywords = {"start": "random", "max_steps": 2 * STEPS, "reward": metric, **BUILDINGS["paper"]}
+    keywords = {"max_steps": 2 * STEPS, "reward": metric, **PAPER}
     tries = {name: attempt(name, seed, **keywords).paid() for name in ("stand", "spin", "shuttle", "bump")}
     assert max(tries.values()) < 0.9 * explore(seed, **keywords).paid()
     assert tries["stand"] <= tries["shuttle"] + 0.1  # penalties are bounded by .1 each

@@ -104,47 +104,37 @@ def test_a_batch_takes_lists_and_options() -> None:
     envs.close()
 
 
-@pytest.mark.parametrize(
-    ("given", "said"),
-    [
-        ({"difficulty": "esy"}, "did you mean 'easy'"),
-        ({"difficulty": []}, "a list of them"),
-        ({"difficulty": ["easy", "hrad"]}, "did you mean 'hard'"),
-        ({"difficulty": {}}, "difficulty"),
-        ({"split": {}}, "split"),
-        ({"split": "tst"}, r"split: 'tst' .*did you mean 'test'"),
-        ({"rooms": 1}, "rooms"),
-        ({"layout": "paper"}, "makes its own"),
-        ({"start": (0.0, 0.0, 0.0)}, "start"),
-        ({"lops": 2}, r"Rooms-v0\(\) got an unexpected keyword argument 'lops'; did you mean 'loops'"),
-        ({"door_width": 0.9}, r"did you mean 'door_width_m'"),
-        ({"max_step": 9}, r"did you mean 'max_steps'"),
-        ({"estimator": "slamm"}, r"EnvConfig\.estimator: .*did you mean 'slam'"),
-        ({"loops": 20}, r"loops: 20 loops, at most 10 with 8 rooms"),
-    ],
-)
-def test_a_wrong_keyword_gets_a_guess_or_the_bound(given: dict[str, Any], said: str) -> None:
-    with pytest.raises(ConfigError, match=said):
-        gymnasium.make("mecp_env/Rooms-v0", **given)
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"difficulty": "esy"}, "did you mean 'easy'"),
+    ({"difficulty": []}, "a list of them"),
+    ({"difficulty": ["easy", "hrad"]}, "did you mean 'hard'"),
+    ({"split": "tst"}, r"split: 'tst' .*did you mean 'test'"),
+    ({"layout": "paper"}, "makes its own"),
+    ({"lops": 2}, r"Rooms-v0\(\) got an unexpected keyword argument 'lops'; did you mean 'loops'"),
+    ({"max_step": 9}, r"did you mean 'max_steps'"),
+    ({"estimator": "slamm"}, r"EnvConfig\.estimator: .*did you mean 'slam'"),
+    ({"loops": 20}, r"loops: 20 loops, at most 10 with 8 rooms"),
+]
+WRONG += [({name: given}, name) for name in ("difficulty", "split") for given in ({}, 3, np.array([]))]
+WRONG += [({"rooms": 1}, "rooms"), ({"start": (0.0, 0.0, 0.0)}, "start"), ({"door_width": 1}, "'door_width_m'")]
+OPTIONS: list[tuple[dict[str, Any], str]] = [
+    ({"difficulty": "esy"}, "did you mean 'easy'"),
+    ({"difficulty": "easy", "building": 1_000_000}, "building: 1000000, there are 1000000"),
+    ({"start": (0.0, 0.0, 0.0)}, "buildings that change"),
+]
+OPTIONS += [({"building": number}, "-1|whole number") for number in (-1, 1.5, True)]
 
 
-@pytest.mark.parametrize(
-    ("options", "said"),
-    [
-        ({"difficulty": "esy"}, "did you mean 'easy'"),
-        ({"difficulty": "easy", "building": 1_000_000}, "building: 1000000, there are 1000000"),
-        ({"building": -1}, "-1"),
-        ({"building": 1.5}, "whole number"),
-        ({"building": True}, "whole number"),
-        ({"start": (0.0, 0.0, 0.0)}, "buildings that change"),
-    ],
-)
-def test_a_wrong_option_is_refused_and_nothing_changed(options: dict[str, Any], said: str) -> None:
+def test_a_wrong_keyword_or_option_gets_a_guess_or_the_bound_and_nothing_changed() -> None:
+    for given, said in WRONG:
+        with pytest.raises(ConfigError, match=said):
+            gymnasium.make("mecp_env/Rooms-v0", **given)
     env = make(difficulty="easy").unwrapped
     env.reset(seed=2)
     before = pickle.dumps(env.get_state())
-    with pytest.raises(ConfigError, match=said):
-        env.reset(seed=8, options=options)
+    for options, said in OPTIONS:
+        with pytest.raises(ConfigError, match=said):
+            env.reset(seed=8, options=options)
     assert pickle.dumps(env.get_state()) == before
     with pytest.raises(ConfigError, match="only generated buildings"):
         gymnasium.make("mecp_env/PaperMap-v0").reset(options={"difficulty": "easy"})

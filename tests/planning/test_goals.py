@@ -30,7 +30,6 @@ from mecp_env.planning.goals import (
     find_goals,
     levels_from,
     polygon_levels,
-    rings_by_room,
 )
 from mecp_env.planning.navigator import Target, settled
 from mecp_env.slam.messages import EdgeLabel
@@ -265,16 +264,6 @@ def test_rooms_have_the_level_of_the_door_graph() -> None:
     doors = tuple(make.door(i, rooms=rooms) for i, rooms in enumerate([(0, 1), (1, 2), (0, 3), (3, -1), (5, 2)]))
     graph = make.graph(0, (0, 1, 2, 3, 5), doors=doors, merged={4: 2})
     assert door_levels(graph, 0) == {0: 0, 1: 1, 3: 1, 2: 2, 5: 3}
-
-
-def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
-    for ids, room in (([0, 4, 5, 3], 0), ([4, 1, 2, 5], 0), ([1, 8, 6], 0), ([9, 10, 11], 1)):
-        toy.add_polygon(ids, room)
-    output = toy.output()
-    rings, p_entry = rings_by_room(output, {0}), to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0]
-    centres, levels = polygon_levels(rings[0], output.belief, p_entry)
-    assert len(centres) == 3
-    assert levels.tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("seed", range(4))

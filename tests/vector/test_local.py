@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import multiprocessing
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium
@@ -14,10 +12,9 @@ from gymnasium.vector import AutoresetMode
 
 from mecp_env.core.errors import ActionError
 from mecp_env.core.processes import WorkerError
-from mecp_env.core.worker_pool import LocalWorker
 from mecp_env.vector import BatchEnv, hosted
 from tests.processes import gone_within, needs_linux
-from tests.vector.helpers import LAYOUT, N, make_by, make_small
+from tests.vector.helpers import N, make_small
 from tests.vector.test_async import histories
 from tests.vector.test_batch import set_state
 from tests.vector.test_trajectories import KINDS, equal, take, take_in_one_process
@@ -134,33 +131,6 @@ def test_calls_reach_the_environments_and_generators_are_copies(own: int) -> Non
     venv.close()
 
 
-class Target:
-    """Works as an interrupted, or a long, call would."""
-
-    place = "the hall"
-
-    def interrupt(self) -> None:
-        raise KeyboardInterrupt
-
-    def count(self, numbers: list[int]) -> Iterator[int]:
-        yield from numbers
-
-    def close(self) -> None:
-        """Nothing is open."""
-
-
-def test_after_an_interruption_the_answer_is_a_failure_and_the_next_question_is_answered() -> None:
-    worker = LocalWorker(Target(), "worker 0")
-    worker.ask("interrupt")
-    with pytest.raises(KeyboardInterrupt):
-        worker.answer()
-    failure = worker.answer()
-    assert isinstance(failure.error, WorkerError)
-    assert "worker 0 was interrupted" in str(failure.error)
-    worker.ask("count", [1, 2])
-    assert [worker.answer() for _ in range(3)] == [1, 2, None]
-
-
 class Interrupted(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Ctrl-C comes where an action turns to the right."""
 
@@ -183,23 +153,3 @@ def test_after_an_interrupted_step_the_batch_must_be_reset(own: int) -> None:
     venv.reset(seed=1)
     assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
     venv.close()
-
-
-def test_an_environment_that_cannot_be_made_leaves_nothing_behind(own: int) -> None:
-    before = multiprocessing.active_children()
-    with pytest.raises(ValueError, match="no such building") as caught:
-        BatchEnv([Maker(), *[Maker(late=True)] * 2], context="fork")
-    assert "of the batch" in caught.value.__notes__[0]
-    assert multiprocessing.active_children() == before
-
-
-class Maker:
-    """Makes an environment; with `late`, fails."""
-
-    def __init__(self, late: bool = False) -> None:
-        self.late = late
-
-    def __call__(self) -> Any:
-        if self.late:
-            raise ValueError("no such building")
-        return make_by("sync", LAYOUT, 1, **KINDS["velocity"][1]).envs[0]
