@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import json
+from functools import cache
+from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pytest
 
 from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import load_layout
 from tests.floorplans.untrusted import MEGABYTES, SECONDS, costs, layout
-from tests.world.hard_layouts import as_file, hard
 from tests.world.test_layout import BAD_DOCUMENTS, BAD_FILES, DOCUMENTS
 
 LETTERS = 800
@@ -59,3 +62,133 @@ def test_what_is_beyond_the_limits_is_refused_with_the_bound(name: str, said: st
     with pytest.raises(LayoutError, match=said) as caught:
         load_layout(hard()[name])
     assert len(str(caught.value)) < 600
+
+
+Document = dict[str, Any]
+HALL = [[-200.0, -200.0], [200.0, -200.0], [200.0, 200.0], [-200.0, 200.0]]
+
+
+def hall(**fields: Any) -> Document:
+    """One room of 400 x 400 m, with some fields replaced."""
+    around = {"points": [*HALL, HALL[0]]}
+    given = {"walls": [], "rooms": [{"name": "hall", "polygon": HALL}], "starts": [{"point": [0.0, 0.0]}]} | fields
+    return {"name": "hall", **given, "walls": [around, *given["walls"]]}
+
+
+def scattered(count: int, length: float = 1.0) -> list[Document]:
+    """So many straight walls anywhere, none at the start."""
+    rng = np.random.default_rng(0)
+    places, angles = rng.uniform(-190.0, 190.0, (3 * count, 2)), rng.uniform(0.0, 6.3, 3 * count)
+    far = np.hypot(*places.T) > length + 1.0
+    ends = places + length * np.column_stack([np.cos(angles), np.sin(angles)])
+    return [{"points": pair} for pair in np.stack([places, ends], axis=1)[far][:count].round(2).tolist()]
+
+
+def lattice(count: int, step: float, size: float = 0.3) -> list[tuple[float, float]]:
+    """Places in rows, none within 3 m of the start."""
+    side = int(np.ceil(np.sqrt(count))) + 4
+    places = [((i - side / 2) * step, (j - side / 2) * step) for i in range(side) for j in range(side)]
+    return [place for place in places if np.hypot(*place) > 3.0][:count]
+
+
+def square(x: float, y: float, half: float) -> list[list[float]]:
+    return [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
+
+
+def weave(count: int) -> list[Document]:
+    """So many walls along x and as many along y: every one crosses every other one."""
+    at = np.linspace(-190.0, 190.0, count).round(3).tolist()
+    return [{"points": p} for c in at for p in ([[-199.0, c], [199.0, c]], [[c, -199.0], [c, 199.0]])]
+
+
+def star_rooms(count: int) -> list[Document]:
+    """Triangles that all meet in the middle."""
+    angle = np.linspace(0.0, 2.0 * np.pi, count + 1)
+    edge = (100.0 * np.column_stack([np.cos(angle), np.sin(angle)])).round(3).tolist()
+    return [{"name": f"r{i}", "polygon": [[0.0, 0.0], edge[i], edge[i + 1]]} for i in range(count)]
+
+
+def strip_rooms(count: int) -> list[Document]:
+    """Slanted strips: their boxes overlap, they do not."""
+    at = np.linspace(-90.0, 90.0, count + 1).round(3).tolist()
+    return [
+        {"name": f"r{i}", "polygon": [[a - 90, -90 - a], [b - 90, -90 - b], [b + 90, 90 - b], [a + 90, 90 - a]]}
+        for i, (a, b) in enumerate(pairwise(at))
+    ]
+
+
+def round_rooms(count: int, points: int) -> list[Document]:
+    """Polygons of many points, side by side."""
+    angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
+    ring = 2.0 * np.column_stack([np.cos(angle), np.sin(angle)])
+    return [
+        {"name": f"r{i}", "polygon": (ring + place).round(3).tolist()} for i, place in enumerate(lattice(count, 5.0))
+    ]
+
+
+def comb(teeth: int) -> list[list[float]]:
+    """A ring with so many teeth, four points each."""
+    points = [[-150.0, 10.0]]
+    for x in np.linspace(-150.0, 150.0, teeth).tolist():
+        points += [[x, 10.0], [x, 180.0], [x + 0.01, 180.0], [x + 0.01, 10.0]]
+    return [*points[1:], [151.0, 10.0], [151.0, 5.0], [-151.0, 5.0], [-151.0, 10.0]]
+
+
+def gaps(count: int) -> list[Document]:
+    """Doors between hall and hall amid the floor."""
+    gap = {"width_m": 1.0, "rooms": ["hall", "hall"], "direction_deg": 0.0, "opening": "gap", "depth_m": 0.1}
+    return [gap | {"centre": [x, y]} for x, y in lattice(count, 4.0)]
+
+
+def slanted_gaps(count: int) -> list[Document]:
+    """Doors of 20 m beside each other, 2 cm apart: none touches, but the boxes around them do."""
+    changes = {"width_m": 20.0, "direction_deg": 45.0, "depth_m": 0.01}
+    places = [[10.0 + 0.02 * i, -10.0 + 0.02 * i] for i in range(count)]
+    return [gap | changes | {"centre": place} for gap, place in zip(gaps(count), places, strict=True)]
+
+
+BOX, PILLAR = {"kind": "box", "size": [0.3, 0.3]}, {"kind": "round", "radius_m": 0.15}
+SIEVE = {"outer": square(100, 100, 90), "holes": [square(100 + x, 100 + y, 0.2) for x, y in lattice(4900, 2.0)]}
+WRONG = {"rooms": [{"name": "r", "polygon": ["x"] * 900}] * 200, "obstacles": [3] * 9000, "doors": [[]] * 1900}
+
+
+@cache
+def hard() -> dict[str, Document]:
+    """All of them, by name."""
+    return {
+        "9,000 scattered walls": hall(walls=scattered(9000)),
+        "as many scattered walls as there may be": hall(walls=scattered(4995)),
+        "long scattered walls": hall(walls=scattered(1500, 20.0)),
+        "woven walls": hall(walls=weave(140)),
+        "boxes in rows": hall(obstacles=[BOX | {"centre": place} for place in lattice(4990, 2.0)]),
+        "boxes in a heap": hall(obstacles=[BOX | {"centre": [50.0 + 0.001 * i, 9.0]} for i in range(4990)]),
+        "pillars in rows": hall(obstacles=[PILLAR | {"centre": place} for place in lattice(620, 2.0)]),
+        "pillars beyond number": hall(obstacles=[PILLAR | {"centre": place} for place in lattice(10_000, 2.0)]),
+        "islands in rows": hall(solids=[{"outer": square(x, y, 0.2)} for x, y in lattice(4990, 2.0)]),
+        "a solid full of holes": hall(solids=[SIEVE]),
+        "a comb": hall(solids=[{"outer": comb(4900)}]),
+        "rooms around a point": hall(rooms=star_rooms(1000)),
+        "rooms in strips": hall(rooms=strip_rooms(1000)),
+        "round rooms": hall(rooms=round_rooms(999, 20)),
+        "rooms of many corners": hall(rooms=round_rooms(19, 1000)),
+        "rooms beyond number": hall(rooms=round_rooms(1001, 4)),
+        "too many corners of rooms": hall(rooms=round_rooms(30, 1000)),
+        "starts beyond number": hall(starts=[{"point": [0.001 * i, 0.0]} for i in range(1001)]),
+        "starts among walls": hall(walls=scattered(4900), starts=[{"point": [0.0005 * i, 0.0]} for i in range(1000)]),
+        "gaps amid the floor": hall(doors=gaps(2000)),
+        "gaps in a heap": hall(doors=[gap | {"centre": [50.0 + 0.001 * i, 9.0]} for i, gap in enumerate(gaps(2000))]),
+        "gaps side by side": hall(doors=slanted_gaps(2000)),
+        "doors beyond number": hall(doors=gaps(2001)),
+        "nothing but wrong points": hall(walls=[{"points": [[0]] * 900}] * 300),
+        "nothing but wrong walls": hall(walls=[{}] * 9000),
+        "wrong everywhere": hall(**WRONG),
+        "names of unknown rooms": hall(doors=[gap | {"rooms": ["hal", "hall"]} for gap in gaps(2000)]),
+        "a text of a megabyte": hall(description="x" * 900_000),
+        "a name of a megabyte": hall(rooms=[{"name": "x" * 900_000, "polygon": HALL}]),
+        "a key of a megabyte": hall(**{"x" * 900_000: 1}),
+    }  # fmt: skip
+
+
+def as_file(name: str) -> bytes:
+    """The JSON of a layout, as small as can be."""
+    return json.dumps(hard()[name], separators=(",", ":")).encode()
