@@ -124,17 +124,11 @@ def test_keywords_override_the_config_field_by_field():
 
 
 def test_the_sensor_model_follows_the_laser_unless_it_is_set():
-    follows = EnvConfig.build(laser={"preset": "lms200"})
-    assert follows.estimator_config.sensor.range_sigma_m == 0.01
-    assert follows.estimator_config.sensor.bearing_sigma_deg == 0.0
     fixed = EnvConfig.build(laser={"preset": "lms200"}, slam={"sensor": {"range_sigma_m": 0.2}})
     assert fixed.estimator_config.sensor.range_sigma_m == 0.2
     assert EnvConfig.build(fixed.to_dict()).estimator_config.sensor.range_sigma_m == 0.2
     whole = EnvConfig.build(laser={"preset": "lms200"}, slam=SlamConfig())
     assert whole.estimator_config.sensor.range_sigma_m == 0.01
-
-
-def test_the_sensor_model_has_the_view_and_the_mounting_of_the_laser():
     config = EnvConfig.build(laser={"field_of_view_deg": 180.0, "x_m": 0.1, "heading_deg": -90.0})
     sensor = EnvConfig.build(config.to_dict()).estimator_config.sensor
     assert (sensor.field_of_view_deg, sensor.x_m, sensor.heading_deg) == (180.0, 0.1, -90.0)

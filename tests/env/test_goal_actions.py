@@ -7,15 +7,12 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ActionError, ConfigError
-from mecp_env.core.se2 import inverse, to_map
 from mecp_env.core.snapshot import StateError
 from mecp_env.env import MecpEnv
 from mecp_env.episode.actions import DISCRETE, check_choice, check_velocity, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.planning.goal_list import Goal, GoalKind, Goals, RowTimes
-from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import below, episode_of, make, same
 
@@ -133,18 +130,6 @@ def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch)
     assert not terminated
     assert not info["localised"]
     assert len(episode_of(env).goal_history.drives) <= 1
-
-
-def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
-    env = make(actions="goal", layout="furnished")
-    rows = explore(env, limit=200)
-    assert rows[-1][2]
-    base = env.unwrapped
-    inside = to_map(inverse(episode_of(base).metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
-    assert labels_at(base.slam_output.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
-    painter = episode_of(base).pipeline.grid
-    assert painter.filled == painter.completed  # those of the last room too, though the episode ends with it
-    assert base.slam_output.grid is painter.canvas.grid
 
 
 def test_only_the_environment_itself_can_be_wrapped():

@@ -89,17 +89,6 @@ def test_enough_rooms_are_left(share: float, most: int) -> None:
         assert summary["closed_doors"] > 0
 
 
-def test_pictures_show_what_moves() -> None:
-    env = make(**BUSY, render_mode="rgb_array")
-    env.reset(seed=5)
-    before = env.render()
-    view = env.unwrapped.view()
-    assert len(view.moving) == 4 * 16 + 4 * len(world_of(env).movers.state.boxes)
-    for _ in range(5):
-        env.step(np.zeros(2, np.float32))
-    assert (env.render() != before).any()
-
-
 def test_a_door_hidden_by_somebody_at_the_start_is_found_when_he_has_gone() -> None:
     """Building 134 of the test split: six people, one of them in the only door of the first room."""
     layout = generate(GeneratorSpec.preset("medium"), split_seed("test", 134))

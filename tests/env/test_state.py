@@ -91,6 +91,7 @@ DAMAGED += [{"@object": ["mecp_env.core.snapshot:encode", {}]}]
 DAMAGED += [{"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]}]
 DAMAGED += [{"@enum": [f"{MESSAGES}:FeatureTable", 1]}, {"@enum": [f"{MESSAGES}:Cell", 99]}]
 DAMAGED += [{"@settings": [f"{MESSAGES}:FeatureTable", {}]}, {"@dict": [[1]]}, {"@dict": [[{"@list": []}, 1]]}]
+DAMAGED += [{"@settings": ["mecp_env.world.config:LaserConfig", {"preset": "best"}]}]
 DAMAGED += [{"@generator": {"bit_generator": "PCG64"}}, {"@generator": None}, {"@array": None}, {"@array": [1]}]
 
 

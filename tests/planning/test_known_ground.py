@@ -20,7 +20,6 @@ from mecp_env.planning.known_ground import (
     landmark_information,
     offered_goals,
     predict,
-    waypoints,
 )
 from mecp_env.planning.navigator import cost_to_go_field
 from mecp_env.slam.messages import Cell
@@ -220,14 +219,6 @@ def test_landmarks_mapped_from_this_pose_hardly_correct_it() -> None:
     goal = Goal(GoalKind.WAIT, 1.0, 0.0, 0.0, 0)
     predict([goal], [REACH_M], costs, belief, PREDICTION)
     assert 0.15 < goal.sigma_m <= 0.2
-
-
-def test_waypoints_are_on_the_path_and_end_at_both_ends() -> None:
-    costs, _ = corridor([])
-    found = waypoints(costs.step, 12, 130, 8)
-    assert found[0].tolist() == [11, 10]  # of the robot
-    assert found[-1].tolist() == [12, 130]
-    assert np.abs(np.diff(found, axis=0)).max() <= 8
 
 
 def test_a_wall_hides_a_landmark() -> None:

@@ -12,7 +12,6 @@ import pytest
 from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from mecp_env.core.errors import ActionError
 from mecp_env.vector import BatchEnv
 from tests.env.helpers import SMALL
 from tests.processes import gone_within
@@ -177,25 +176,6 @@ def test_what_was_never_reset_or_is_over_must_be_reset() -> None:
         venv.send(STILL)
     with pytest.raises(ClosedEnvironmentError):
         venv.recv()
-
-
-def test_an_exception_is_that_of_one_environment_and_the_others_are_received() -> None:
-    venv = make_small()
-    venv.reset(seed=1)
-    actions = STILL.copy()
-    actions[1] = 0.3, np.nan
-    venv.send(actions)
-    with pytest.raises(ActionError, match=r"action\[turn\]: nan") as caught:
-        venv.recv()
-    assert "in environment 1 of the batch" in caught.value.__notes__[0]
-    assert venv.recv()[-1]["env_id"].tolist() == [0, 2]
-    with pytest.raises(ResetNeeded, match=r"\[1\]"):
-        venv.send(STILL)
-    venv.async_reset(seed=5, options={"reset_mask": np.array([False, True, False])})
-    assert venv.recv()[-1]["env_id"].tolist() == [1]
-    venv.send(STILL)
-    assert venv.recv()[-1]["period"].tolist() == [2, 1, 2]
-    venv.close()
 
 
 class Unsendable(gymnasium.Wrapper[Any, Any, Any, Any]):

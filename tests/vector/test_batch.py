@@ -15,7 +15,7 @@ from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 import mecp_env
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.processes import cores, start_method
-from mecp_env.vector import BatchEnv
+from mecp_env.vector import BatchEnv, hosted
 from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
 from tests.vector.helpers import LAYOUT, N, equal, make_by, make_small
@@ -97,9 +97,13 @@ def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> N
     views.close()
 
 
-def test_calls_attributes_and_frames() -> None:
-    venv = make_small(render_mode="rgb_array")
+@pytest.mark.parametrize("workers", [2, None])
+def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(hosted, "cores", lambda: 1)  # without a number of workers, all are stepped here
+    venv = make_small(render_mode="rgb_array", workers=workers)
     venv.reset(seed=1)
+    drawn = [generator.integers(2**40) for generator in venv.np_random]
+    assert [generator.integers(2**40) for generator in venv.np_random] == drawn  # copies
     frames = venv.render()
     assert [frame.shape == frames[0].shape and frame.dtype == np.uint8 for frame in frames] == [True] * N
     assert [summary["periods"] for summary in venv.call("summary")] == [0] * N
@@ -117,8 +121,9 @@ def test_calls_attributes_and_frames() -> None:
         venv.call("reset")
     with pytest.raises(AttributeError, match="no_such_thing"):
         venv.get_attr("no_such_thing")
-    with pytest.raises(Exception, match="pickle"):  # an answer that cannot be sent is no death
-        venv.each(give_a_function, [()] * N)
+    if workers:
+        with pytest.raises(Exception, match="pickle"):  # an answer that cannot be sent is no death
+            venv.each(give_a_function, [()] * N)
     venv.step(STILL)
     venv.close()
 

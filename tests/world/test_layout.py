@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import json
 import math
@@ -21,7 +20,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.core.settings import MOST_TOLD
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
-from mecp_env.world.schema import BoxSpec, Pillar
+from mecp_env.world.schema import BoxSpec
 from tests.world.conftest import DOCUMENTS
 
 Document = dict[str, Any]
@@ -58,25 +57,6 @@ def test_the_paper_layout_is_as_the_design_says() -> None:
     boxes = [obstacle for obstacle in layout.obstacles if isinstance(obstacle, BoxSpec)]
     assert sum(box.size == (0.4, 0.4) for box in boxes) == 2
     assert len(boxes) == 3
-
-
-def test_the_other_layouts_are_as_the_design_says() -> None:
-    assert [len(load_layout(name).rooms) for name in ("two_rooms", "office")] == [2, 9]
-    assert {round(Polygon(room.polygon).area, 6) for room in load_layout("twins").rooms} == {16.0}
-    furnished = [type(obstacle) for obstacle in load_layout("furnished").obstacles]
-    assert furnished.count(Pillar) >= 1
-    assert furnished.count(BoxSpec) >= 5
-
-
-@pytest.mark.parametrize("name", shipped_layouts())
-def test_doors_keep_their_distance(name: str) -> None:
-    """Jambs and corners are separable: every door ends 0.4 m or more from the next door and from the room's corners."""
-    layout = load_layout(name)
-    for door in layout.doors:
-        others = [other for other in layout.doors if other is not door]
-        assert all(math.dist(door.centre, other.centre) >= door.width_m + 0.4 for other in others)
-        for room in (room for room in layout.rooms if room.name in door.rooms):
-            assert min(math.dist(door.centre, corner) for corner in room.polygon) >= door.width_m / 2.0 + 0.4
 
 
 def replace(path: str, value: Any) -> Callable[[Document], None]:
@@ -273,17 +253,6 @@ def test_spoilt_documents_raise_nothing_but_layout_errors(data: st.DataObject) -
     assert load_layout(json.loads(layout.to_json())) == layout
 
 
-@settings(max_examples=50, deadline=None)
-@given(st.integers(0, 10**6), st.binary(max_size=3), st.integers(0, 40))
-def test_spoilt_bytes_raise_nothing_but_layout_errors(tmp_path_factory: Any, at: int, piece: bytes, cut: int) -> None:
-    text = load_layout("two_rooms").to_json().encode()
-    at %= len(text)
-    path = tmp_path_factory.mktemp("fuzz") / "spoilt.json"
-    path.write_bytes(text[:at] + piece + text[at + cut :])
-    with contextlib.suppress(LayoutError):
-        load_layout(path)
-
-
 @pytest.mark.parametrize("name", shipped_layouts())
 def test_the_direction_of_a_cut_follows_from_its_wall(name: str) -> None:
     document, turned = copy.deepcopy(DOCUMENTS[name]), copy.deepcopy(DOCUMENTS[name])
@@ -336,24 +305,18 @@ def test_solids_with_a_gap_are_as_good_as_walls_with_a_cut() -> None:
     assert build_outline(load_layout(document)).corners.jamb.sum() == 4
 
 
+CUT = {"centre": [4.05, 1.45], "width_m": 0.9, "rooms": ["west", "east"], "direction_deg": 0, "opening": "cut"}
 BAD_SOLIDS = {
     "crosses itself": (replace("solids.0.holes.0", BOW_TIE), r"solids\.0: not a simple polygon"),
     "hole outside": (replace("solids.0.holes.0.3", [-3, 0]), r"solids\.0: not a simple polygon"),
     "nothing at all": (replace("solids", []), r"layout: walls: at least 1 expected"),
-    "too many points": (
-        replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2),
-        r"rooms: 24\d{3} faces, at most 20000",
-    ),
+    "too many points": (replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2), r"rooms: 24\d{3} faces"),
     "gap without direction": (replace("doors.0.direction_deg", None), r"doors\.0: .*a gap has direction_deg"),
     "gap without depth": (replace("doors.0.depth_m", None), r"doors\.0: .*a gap has depth_m"),
     "cut with depth": (replace("doors.0.opening", "cut"), r"doors\.0: .*a cut has none"),
+    "cut without walls": (replace("doors.0", CUT), r"doors\.0\.opening: cut, but the layout has no walls"),
     "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
     "gap in the open": (replace("doors.0.width_m", 0.5), r"doors\.0\.width_m: an end is 0\.20 m from a wall, at most"),
-    "gap to nowhere": (replace("doors.0.rooms.1", "north"), r"doors\.0\.rooms\.1: no room is called 'north'"),
-    "cut without walls": (
-        lambda document: document["doors"][0].update({"opening": "cut", "depth_m": None}),
-        r"doors\.0\.opening: cut, but the layout has no walls",
-    ),
     "gap twice": (lambda document: document["doors"].append(document["doors"][0]), r"doors\.1\.centre: .* of doors\.0"),
     "gap the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre: .*not between its rooms"),
 }
