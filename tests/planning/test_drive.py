@@ -17,6 +17,7 @@ from mecp_env.planning.controller import (
     can_stop,
     coast,
     follow,
+    look_ahead,
     near_points,
     safe_command,
     seen_points,
@@ -192,3 +193,12 @@ def test_points_seen_are_those_near_in_the_frame_of_the_robot() -> None:
     assert np.hypot(*near.T).max() <= 2.1
     for points in (near, seen_points(mounted, CONTROL, T_robot_laser)):
         assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
+
+
+@pytest.mark.parametrize("heading", [0.0, 2.0])
+def test_look_ahead_is_on_the_path_and_counts_what_is_left(heading: float) -> None:
+    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
+    x, y, left = look_ahead(path, np.array([0.6, 0.1, heading]), 0.6)
+    p = to_map(np.array([0.6, 0.1, heading]), np.array([[x, y]]))[0]
+    assert p == pytest.approx([1.0, 0.2])
+    assert left == pytest.approx(2.4)
