@@ -50,12 +50,8 @@ def call(home: Path, *words: str) -> str:
     return done.stdout
 
 
-def test_the_package_is_that_of_the_wheel(home: Path) -> None:
-    where = call(home, "python", "-c", "import mecp_env; print(mecp_env.__file__)")
-    assert where.startswith(str(home))
-
-
-def test_an_explorer(home: Path) -> None:
+def test_an_explorer_of_the_package_of_the_wheel(home: Path) -> None:
+    assert call(home, "python", "-c", "import mecp_env; print(mecp_env.__file__)").startswith(str(home))
     assert "coverage" in call(home, "mecp-env", "explore", "nearest", "--layout", "two_rooms", "--steps", "20")
 
 

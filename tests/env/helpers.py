@@ -10,6 +10,7 @@ import numpy as np
 
 import mecp_env  # registers the environments
 from mecp_env.world.layout import LIBRARY
+from mecp_env.wrappers import GoalActions
 
 IDS = tuple(mecp_env.ENVIRONMENTS)
 NEEDED: dict[str, dict[str, Any]] = {"mecp_env/FloorPlan-v0": {"plan": str(LIBRARY / "furnished.json")}}  # to be made
@@ -19,6 +20,13 @@ SMALL: dict[str, Any] = {"layout": "two_rooms", "laser": {"sweeps": 1, "range_si
 def make(**keywords: Any) -> gymnasium.Env:
     """A small environment, fast enough for tests."""
     return gymnasium.make("mecp_env/Layout-v0", **(SMALL | keywords))
+
+
+def below(env: gymnasium.Env) -> gymnasium.Env:
+    """The environment that an entry point made, without gymnasium's own wrappers."""
+    while not isinstance(env, GoalActions) and env is not env.unwrapped:
+        env = env.env
+    return env
 
 
 def episode_of(env: gymnasium.Env) -> Any:

@@ -1,22 +1,20 @@
 from __future__ import annotations
 
 import copy
+from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from mecp_env.core.errors import ConfigError
-from mecp_env.core.se2 import inverse, to_map
+from mecp_env.core.errors import ActionError, ConfigError
 from mecp_env.core.snapshot import StateError
 from mecp_env.env import MecpEnv
+from mecp_env.episode.actions import DISCRETE, check_choice, check_velocity, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
-from mecp_env.evaluation.map_scores import labels_at
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.planning.goal_list import Goal, GoalKind, Goals, RowTimes
-from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import episode_of, make, same
-from tests.env.test_contract import below
+from tests.env.helpers import below, episode_of, make, same
 
 
 def explore(env, seed=1, limit=60):
@@ -44,27 +42,19 @@ def test_the_explorer_completes_two_rooms():
     assert sum(row[4]["periods"] for row in rows) == summary["periods"]
 
 
-def test_the_mask_tells_the_rows_with_goals():
-    env = make(actions="goal")
-    observation, info = env.reset(seed=1)
-    mask = env.get_wrapper_attr("action_masks")()
-    assert mask.dtype == np.bool_
-    assert np.array_equal(mask, observation["goals"][:, 8] == 1.0)
-    assert mask.sum() == info["goals"] > 0
-
-
-def test_the_mask_in_the_info_is_what_the_space_samples_with():
+def test_the_mask_tells_the_rows_with_goals_and_is_what_the_space_samples_with():
     env = make(actions="goal")
     env.action_space.seed(0)
-    _, info = env.reset(seed=1)
+    observation, info = env.reset(seed=1)
+    assert info["goals"] == info["action_mask"].sum() > 0
     for _ in range(4):
         mask = info["action_mask"]
         assert (mask.dtype, mask.shape) == (np.int8, (GOALS,))
+        assert np.array_equal(mask == 1, observation["goals"][:, 8] == 1.0)
         assert np.array_equal(mask == 1, env.get_wrapper_attr("action_masks")())
         action = env.action_space.sample(mask=mask)
-        assert mask.any() or action == 0
-        assert mask[action] or not mask.any()
-        _, _, terminated, truncated, info = env.step(action)
+        assert mask[action] or (not mask.any() and action == 0)
+        observation, _, terminated, truncated, info = env.step(action)
         if terminated or truncated:
             break
     assert "action_mask" not in make().reset(seed=1)[1]
@@ -82,16 +72,21 @@ def test_a_masked_choice_is_a_drive_to_the_nearest_goal_and_an_event():
     assert same(info | {"event": ""}, its_info | {"event": ""})
 
 
-def test_a_policy_that_always_answers_a_masked_row_explores_and_ends():
-    env = make(actions="goal", max_steps=1500)
+def test_a_policy_that_always_answers_a_masked_row_explores_and_ends_with_every_step_counted():
+    env = make(actions="goal", max_steps=1500, reward="terms")
     env.reset(seed=2)
+    total = 0
     for _ in range(100):
         _, _, terminated, truncated, info = env.step(GOALS - 1)
-        assert info["event"] == "masked"
+        total += info["periods"]
+        assert (info["event"], info["period"], info["periods"] >= 1) == ("masked", total, True)
+        assert terminated == (info["goals"] == 0)
         if terminated or truncated:
             break
     assert terminated
     assert info["coverage"] > 0.9
+    assert info["reward_completion"] == pytest.approx(episode_of(env).memory.area_m2 / 10.0)
+    assert info["reward_completion"] > 3.0
 
 
 def test_the_best_row_explores_and_waiting_is_the_last_resort():
@@ -114,38 +109,10 @@ def test_rewards_are_summed_and_the_callback_sees_every_step():
     assert reward == pytest.approx(sum(step[1] for step in seen))
     assert [step[4]["period"] for step in seen] == list(range(1, len(seen) + 1))
     assert {step[4]["event"] for step in seen} == {""}  # the arguments of the callback are not changed later
-
-
-def test_the_limit_lies_inside():
     env = make(actions="goal", max_steps=2)
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated, info["event"], info["periods"]) == (False, True, "ended", 2)
-
-
-def test_every_choice_takes_at_least_a_step_and_every_policy_comes_to_an_end():
-    env = make(actions="goal", max_steps=300)
-    rng = np.random.default_rng(0)
-    env.reset(seed=2)
-    total = 0
-    for _ in range(400):
-        _, _, terminated, truncated, info = env.step(int(rng.integers(GOALS)))
-        assert info["periods"] >= 1
-        total += info["periods"]
-        assert info["period"] == total
-        if terminated or truncated:
-            break
-    assert terminated or truncated
-
-
-def test_an_episode_ends_when_no_goal_is_left():
-    env = make(actions="goal", reward="terms")
-    rows = explore(env)
-    for row in rows[:-1]:
-        assert row[4]["goals"] > 0
-    assert rows[-1][4]["goals"] == 0
-    assert rows[-1][4]["reward_completion"] == pytest.approx(episode_of(env).memory.area_m2 / 10.0)
-    assert rows[-1][4]["reward_completion"] > 3.0
 
 
 def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch):
@@ -158,36 +125,11 @@ def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch)
     monkeypatch.setattr(type(guard), "search", lambda *_: None)
     over = terminated = False
     while not over:
-        observation, _, terminated, over, info = env.step(
-            policy.act(observation, env.get_wrapper_attr("action_masks")())
-        )
+        action = policy.act(observation, env.get_wrapper_attr("action_masks")())
+        observation, _, terminated, over, info = env.step(action)
     assert not terminated
     assert not info["localised"]
     assert len(episode_of(env).goal_history.drives) <= 1
-
-
-def test_the_inside_of_a_box_is_occupied_once_its_room_is_complete():
-    env = make(actions="goal", layout="furnished")
-    rows = explore(env, limit=200)
-    assert rows[-1][2]
-    base = env.unwrapped
-    inside = to_map(inverse(episode_of(base).metrics.T_world_map), np.array([[3.4, 2.9], [10.9, 7.2]]))  # free-standing
-    assert labels_at(base.slam_output.grid, inside).tolist() == [Cell.OCCUPIED, Cell.OCCUPIED]
-    painter = episode_of(base).pipeline.grid
-    assert painter.filled == painter.completed  # those of the last room too, though the episode ends with it
-    assert base.slam_output.grid is painter.canvas.grid
-
-
-def test_a_copy_between_two_drives_continues_bit_for_bit():
-    env = make(actions="goal", layout="paper")
-    env.reset(seed=3)
-    env.step(0)
-    other = copy.deepcopy(env)
-    assert same(env.step(0), other.step(0))
-    state = env.unwrapped.get_state()
-    row = env.step(0)
-    env.unwrapped.set_state(state)
-    assert same(row, env.step(0))
 
 
 def test_only_the_environment_itself_can_be_wrapped():
@@ -227,6 +169,8 @@ def test_an_episode_on_a_submap_continues_bit_for_bit():
     assert landmark_filter.rest is not None
     state = env.unwrapped.get_state()
     row = env.step(0)
+    env.unwrapped.set_state(state)
+    assert same(row, copy.deepcopy(env).step(0))
     other = make(**config)
     other.reset(seed=5)
     other.unwrapped.set_state(state)
@@ -263,3 +207,55 @@ def test_a_drive_takes_the_steps_of_a_subclass():
     env = GoalActions(Counted(layout="two_rooms", actions="goal"))
     rows = explore(env, limit=2)
     assert env.base.count == sum(row[4]["periods"] for row in rows) > 2
+
+
+NAN, INF = float("nan"), float("inf")
+GOOD_VELOCITIES = [np.array([0.5, -1.0], np.float32), np.array([1, -1]), [0.5, 1], (0.0, np.float32(1.0))]
+BAD_VELOCITIES = [None, "stop", 1.0, {0.1, 0.2}, [], [0.1, 0.2, 0.3], [[0.1, 0.2]], ["a", "b"], [None, 0.0]]
+BAD_VELOCITIES += [[True, False], [0.5, 1j], [Fraction(1, 2), 0.0], [10**400, 0], [-(10**400), 0], (NAN, 0.0)]
+BAD_VELOCITIES += [(0.0, INF), (0.0, -INF), (1.0000001, 0.0), np.array(0.5), np.zeros(3), np.zeros((1, 2))]
+BAD_VELOCITIES += [np.zeros(2, complex), np.zeros(2, bool), np.array(["a", "b"]), np.array([0.1, 0.2], object)]
+BAD_VELOCITIES += [np.array([NAN, 0.0], np.float32), np.array([1e38, 0.0], np.float32), np.array([2, 0])]
+GOOD_CHOICES = [0, 4, np.int64(3), np.uint8(2), np.array(1)]
+BAD_CHOICES = [None, "1", 1.0, True, np.True_, NAN, -1, 5, 10**400, [1], np.array([1]), np.array(1.0), np.array(True)]
+BAD_CHOICES += [np.float32(1), np.int64(-1), np.array(5)]
+BAD = {"velocity": BAD_VELOCITIES, "discrete": BAD_CHOICES, "goal": [32, -1, 1.0, None, "1", [1]]}
+
+
+def test_good_actions_pass_unchanged():
+    assert [check_velocity(action) for action in GOOD_VELOCITIES] == [tuple(map(float, a)) for a in GOOD_VELOCITIES]
+    assert [check_choice(action, 5) for action in GOOD_CHOICES] == [int(action) for action in GOOD_CHOICES]
+    assert normalised_command(0.75, -1.75, (0.75, 1.75)).tolist() == [1.0, -1.0]
+    assert normalised_command(9.0, 0.0, (0.75, 1.75)).tolist() == [1.0, 0.0]
+
+
+def test_a_refusal_names_component_value_and_bound():
+    with pytest.raises(ActionError, match=r"action\[turn\]: 1\.5 does not lie in \[-1, 1\]"):
+        check_velocity([0.0, 1.5])
+    with pytest.raises(ActionError, match=r"7 does not lie in 0\.\.4"):
+        check_choice(7, 5)
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_a_refused_action_leaves_the_environment_as_it_was(kind):
+    env = make(actions=kind)
+    env.reset(seed=3)
+    step = below(env).step
+    before = env.unwrapped.get_state()
+    for action in BAD[kind]:
+        with pytest.raises(ActionError, match="action"):
+            step(action)
+    assert same(before, env.unwrapped.get_state())
+
+
+def test_discrete_actions_move_as_they_are_called():
+    env = make(actions="discrete", laser={"preset": "ideal"}).unwrapped
+    ways = {}
+    for index, name in enumerate(DISCRETE):
+        env.reset(seed=0)
+        for _ in range(3):
+            _, _, _, _, info = env.step(index)
+        ways[name] = info["truth_pose"]
+    assert np.allclose(ways["stop"], 0.0)
+    assert (ways["forward"][0] > 0.3, ways["back"][0] < -0.3) == (True, True)
+    assert (ways["left"][2] > 0.3, ways["right"][2] < -0.3) == (True, True)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from mecp_env.episode import observation_arrays, observations
+from mecp_env.episode.observation_arrays import COLUMNS, PREDICTED
 from mecp_env.episode.observations import (
     COV_MAX,
     EXTENT_M,
@@ -20,7 +21,7 @@ from mecp_env.episode.observations import (
     rooms_after_merges,
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
-from tests.env.helpers import drive, episode_of, make
+from tests.env.helpers import episode_of, make
 from tests.slam import make as carriers
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
@@ -52,12 +53,7 @@ def test_cell_codes_against_a_plain_twin():
     }
     for name, layer in expected.items():
         assert np.array_equal(layers[LAYER[name]], layer), name
-
-
-def test_an_unknown_room_is_nobodys_current_room():
-    room = np.full((4, 4), -1, np.int16)
-    codes = observation_arrays.cell_codes(np.ones((4, 4), np.uint8), np.zeros((4, 4), np.bool_), room, -1)
-    assert not (codes & observation_arrays.ROOM).any()
+    assert not (observation_arrays.cell_codes(label, polygon, room, -1) & observation_arrays.ROOM).any()
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 8])
@@ -93,18 +89,14 @@ def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_c
         assert np.count_nonzero(window) == 2
 
 
-def test_outside_the_grid_everything_is_unknown():
-    window = window_of(np.zeros((5, 5), np.uint8), np.array([50.0, 50.0, 1.0]), (8, 0.2))
-    assert (window == observation_arrays.UNKNOWN).all()
-
-
 def test_the_path_lies_where_the_window_shows_it():
     pose = np.array([1.0, 2.0, 0.7])
     points = pose[:2] + np.array([[0.0, 0.0], [2.0 * math.cos(0.7), 2.0 * math.sin(0.7)], [500.0, 0.0]])
-    window = window_of(np.zeros((5, 5), np.uint8), pose, (96, 0.2), points)
+    window = window_of(np.zeros((5, 5), np.uint8), np.array([50.0, 50.0, 0.0]) + pose, (96, 0.2), points + 50.0)
     rows, cols = np.nonzero(window & observation_arrays.PATH)
     assert sorted(rows.tolist()) == [38, 48] or sorted(rows.tolist()) == [37, 48]
     assert set(cols.tolist()) <= {47, 48}
+    assert (window & ~np.uint8(observation_arrays.PATH) == observation_arrays.UNKNOWN).all()  # outside the grid
 
 
 def belief_of(n: int, rng) -> Belief:
@@ -176,34 +168,19 @@ def test_left_out_and_cut_values_are_counted_in_info():
     assert episode.saturated >= 5 + 2 * LANDMARKS
 
 
-def test_spaces_are_finite_and_of_the_promised_shapes():
-    space = make_space(True, 720, 30.0)
-    shapes = {name: (box.shape, box.dtype.name) for name, box in space.items()}
-    assert shapes == {
-        "budget": ((1,), "float32"),
-        "pose": ((4,), "float32"),
-        "pose_cov": ((6,), "float32"),
-        "landmarks": ((LANDMARKS, 8), "float32"),
-        "goals": ((GOALS, 9), "float32"),
-        "grid": ((8, GRID[0], GRID[0]), "uint8"),
-        "map": ((8, 64, 64), "uint8"),
-        "scan": ((720,), "float32"),
-    }
-    assert all(np.isfinite(box.low).all() and np.isfinite(box.high).all() for box in space.values())
-
-
-def test_the_robot_stands_on_free_ground_of_its_room_on_its_path():
-    env = make(observation={"map": True, "scan": True})
-    env.reset(seed=1)
-    observation = drive(env, 12)[-1][0]
-    for part in ("grid", "map"):
-        n = observation[part].shape[-1] // 2
-        middle = observation[part][:, n - 1 : n + 1, n - 1 : n + 1].max(axis=(1, 2))
-        assert middle[LAYER["free"]] == 255
-        assert middle[LAYER["room"]] == 255
-        assert middle[LAYER["path"]] == 255
-    assert set(np.unique(observation["grid"])) == {0, 255}
-    assert 0.0 < observation["scan"].min() < 5.0
+def test_spaces_are_finite_of_the_promised_shapes_and_every_column_has_a_name():
+    certain, uncertain = (make_space(True, 720, 30.0, uncertainty) for uncertainty in (False, True))
+    shapes = {"budget": (1,), "pose": (4,), "pose_cov": (6,), "landmarks": (LANDMARKS, 8), "goals": (GOALS, 9)}
+    shapes |= {"grid": (8, GRID[0], GRID[0]), "map": (8, 64, 64), "scan": (720,)}
+    assert {name: box.shape for name, box in certain.items()} == shapes
+    assert set(uncertain) == set(COLUMNS)
+    assert {name: box.dtype for name, box in uncertain.items() if box.dtype != np.float32}.keys() == {"grid", "map"}
+    for name, box in uncertain.items():
+        assert np.isfinite(box.low).all()
+        assert np.isfinite(box.high).all()
+        columns = {"grid": box.shape[0], "map": box.shape[0], "scan": 1}.get(name, box.shape[-1])
+        assert len(COLUMNS[name]) == columns, name
+    assert COLUMNS["goals"][9:] == PREDICTED
 
 
 def test_the_trail_grows_and_leaves_out_what_is_near():

@@ -1,127 +1,84 @@
+"""What an environment gives depends on its seed alone; tests/test_golden.py compares processes and threads."""
+
 from __future__ import annotations
 
+import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
+from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.protocols import FullFilterWarning
 from tests.env.helpers import drive, episode_of, make, same, world_of
 from tests.env.test_goal_actions import explore
 
-BAD_OPTIONS = [
-    3,
-    "start",
-    [("start", "random")],
-    {"strat": "random"},
-    {"start": "nowhere"},
-    {"start": None},
-    {"start": 1.0},
-    {"start": [1.0, 2.0]},
-    {"start": [1.0, 2.0, 3.0, 4.0]},
-    {"start": ["a", "b", "c"]},
-    {"start": [float("nan"), 2.0, 0.0]},
-    {"start": [float("inf"), 2.0, 0.0]},
-    {"start": [1e9, 2.0, 0.0]},
-    {"start": [1.0, 1.0, 1e300]},
-    {"start": [True, True, False]},
-    {"start": np.array([True, True, False])},
-    {"start": [0.0, 0.0, 0.0]},
-    {"start": {"x": 1.0}},
-    {"start": np.zeros((3, 1, 2))},
-    {"start": "random", "seed": 3},
-]
+BAD_STARTS = ["nowhere", None, 1.0, [1.0, 2.0], ["a", "b", "c"], [float("nan"), 2.0, 0.0], [1e9, 2.0, 0.0]]
+BAD_STARTS += [[1.0, 1.0, 1e300], [True, True, False], np.array([True, True, False]), [0.0, 0.0, 0.0], {"x": 1.0}]
+BAD_STARTS += [np.zeros((3, 1, 2))]
+BAD_OPTIONS = [3, "start", [("start", "random")], {"strat": "random"}, {"start": "random", "seed": 3}]
+BAD_OPTIONS += [{"start": start} for start in BAD_STARTS]
+BAD_SEEDS = [True, np.bool_(True), 1.0, np.float64(2.0), -1, np.int64(-3), "1", [1], np.array(1)]
 
 
-@pytest.mark.parametrize("options", BAD_OPTIONS, ids=str)
-def test_bad_options_are_refused_and_change_nothing(options):
+def test_bad_options_and_seeds_are_refused_and_change_nothing():
     env = make().unwrapped
     env.reset(seed=1)
     before = env.get_state()
-    with pytest.raises(ConfigError, match=r"options|start"):
-        env.reset(seed=5, options=options)
+    for options in BAD_OPTIONS:
+        with pytest.raises(ConfigError, match=r"options|start"):
+            env.reset(seed=5, options=options)
+    for seed in BAD_SEEDS:
+        with pytest.raises(ConfigError, match=r"seed: .*at least 0"):
+            env.reset(seed=seed)
     assert same(env.get_state(), before)
+    assert same(env.reset(seed=np.uint8(7))[0], env.reset(seed=7)[0])
+    assert type(env.np_random_seed) is int
 
 
-BAD_SEEDS = [True, False, np.bool_(True), 1.0, np.float64(2.0), -1, np.int64(-3), "1", [1], np.array(1), np.nan]
-
-
-@pytest.mark.parametrize("seed", BAD_SEEDS, ids=repr)
-def test_bad_seeds_are_refused_and_change_nothing(seed):
-    env = make()
-    env.reset(seed=1)
-    before = env.unwrapped.get_state()
-    with pytest.raises(ConfigError, match=r"seed: .*at least 0"):
-        env.reset(seed=seed)
-    assert same(env.unwrapped.get_state(), before)
-
-
-def test_integers_of_numpy_are_seeds():
-    env = make()
-    first, _ = env.reset(seed=np.uint8(7))
-    again, _ = env.reset(seed=7)
-    assert same(first, again)
-    assert type(env.unwrapped.np_random_seed) is int
-
-
-def test_the_start_can_be_given():
+def test_the_start_can_be_given_or_random():
     env = make().unwrapped
     env.reset(seed=1)
-    pose = env.unwrapped.view().T_world_robot + np.array([0.3, 0.1, 0.5])
+    pose = env.view().T_world_robot + np.array([0.3, 0.1, 0.5])
     _, info = env.reset(seed=1, options={"start": pose.tolist()})
-    assert np.allclose(env.unwrapped.view().T_world_robot, pose)
+    assert np.allclose(env.view().T_world_robot, pose)
     assert np.allclose(info["truth_pose"], 0.0)  # the map frame is the pose at reset
     env.reset(seed=1)
-    assert not np.allclose(env.unwrapped.view().T_world_robot, pose)  # for one episode only
+    assert not np.allclose(env.view().T_world_robot, pose)  # for one episode only
     assert make(start=tuple(pose)).unwrapped.config.start == tuple(pose)
+    env, poses = make(start="random").unwrapped, []
+    for seed in (1, 2, 1):
+        env.reset(seed=seed)
+        poses.append(env.view().T_world_robot)
+    assert same(poses[0], poses[2])
+    assert not same(poses[0], poses[1])
+    env.reset(seed=1, options={"start": "layout"})
+    assert same(env.view().T_world_robot, world_of(env).outline.starts[0])
 
 
-def test_a_start_in_a_wall_is_refused_when_the_environment_is_made():
+@pytest.mark.parametrize("start", ["layout", "random"])
+def test_what_no_episode_can_start_from_is_refused_when_the_environment_is_made(start):
+    wide = {"corners": {"door_width_m": (0.75, 9.0)}}
+    with pytest.raises(ConfigError, match=r"robot\.radius_m"):
+        make(layout="twins", start=start, robot={"radius_m": 2.0}, slam=wide)
     with pytest.raises(ConfigError, match=r"start: .*wall|start: .*free space"):
         make(start=(0.0, 0.0, 0.0))
 
 
-@pytest.mark.parametrize("start", ["layout", "random"])
-def test_a_robot_too_large_for_the_layout_is_refused_when_the_environment_is_made(start):
-    wide = {"corners": {"door_width_m": (0.75, 9.0)}}
-    with pytest.raises(ConfigError, match=r"robot\.radius_m"):
-        make(layout="twins", start=start, robot={"radius_m": 2.0}, slam=wide)
-
-
-def test_random_starts_are_free_and_follow_the_seed():
-    env = make(start="random").unwrapped
-    poses = []
-    for seed in (1, 2, 1):
-        env.reset(seed=seed)
-        poses.append(env.unwrapped.view().T_world_robot)
-    assert same(poses[0], poses[2])
-    assert not same(poses[0], poses[1])
-    env.reset(seed=1, options={"start": "layout"})
-    assert same(env.unwrapped.view().T_world_robot, world_of(env).outline.starts[0])
-
-
-def test_reset_takes_three_scans_at_rest():
-    env = make().unwrapped
+def test_step_needs_a_reset_which_takes_three_scans_at_rest_before_and_after_an_episode():
+    env = make(max_steps=2).unwrapped
+    for call in (lambda: env.step(np.zeros(2, np.float32)), env.get_state):
+        with pytest.raises(ResetNeeded):
+            call()
     observation, info = env.reset(seed=1)
     assert env.slam_output.step == 3
-    assert info["period"] == 0
-    assert info["landmarks"] > 0
-    assert observation["goals"][0, 8] == 1.0
+    assert (info["period"], info["landmarks"] > 0, observation["goals"][0, 8]) == (0, True, 1.0)
     assert np.allclose(observation["pose"], [0, 0, 1, 0], atol=0.02)
-
-
-def test_step_needs_a_reset_before_and_after_an_episode():
-    env = make(max_steps=2).unwrapped
-    with pytest.raises(ResetNeeded):
-        env.step(np.zeros(2, np.float32))
-    env.reset(seed=1)
     env.step(np.zeros(2, np.float32))
     _, _, terminated, truncated, _ = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (False, True)
     with pytest.raises(ResetNeeded):
         env.step(np.zeros(2, np.float32))
-    env.reset()
-    env.step(np.zeros(2, np.float32))
 
 
 def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
@@ -174,3 +131,53 @@ def test_paths_of_pedestrians_do_not_pile_up_over_the_episodes_of_a_building():
         env.reset(seed=seed)
         world = world_of(env)
         assert 0 < len(world._walkways._fields) <= 1 + len(world.movers.state.places)
+
+
+def test_same_seed_same_bits_in_one_environment_and_in_another():
+    env = make(laser={"preset": "paper"})
+    first = [env.reset(seed=7), drive(env, 30), env.reset(), drive(env, 10)]
+    again = [env.reset(seed=7), drive(env, 30), env.reset(), drive(env, 10)]
+    other = make(laser={"preset": "paper"})
+    assert same(first, again)
+    assert same(first, [other.reset(seed=7), drive(other, 30), other.reset(), drive(other, 10)])
+    assert not same(first[0], first[2])  # an unseeded reset continues the random stream
+
+
+def test_the_global_generator_and_the_action_space_are_left_alone_and_change_nothing():
+    rows, env = [], make()
+    for seed in (1, 2):
+        np.random.seed(seed)  # noqa: NPY002
+        env.action_space.seed(5)
+        before = [*np.random.get_state(), env.action_space.np_random.bit_generator.state]  # noqa: NPY002
+        rows.append([env.reset(seed=1), drive(env, 10)])
+        assert same(before, [*np.random.get_state(), env.action_space.np_random.bit_generator.state])  # noqa: NPY002
+    assert same(*rows)
+
+
+def test_the_estimator_does_not_change_what_is_sensed():
+    poses = []
+    for estimator in ("slam", "known", "truth"):
+        env = make(estimator=estimator, laser={"preset": "paper"})
+        env.reset(seed=3)
+        rows = drive(env, 20)
+        assert estimator != "truth" or max(row[4]["pose_error_m"] for row in rows) < 1e-6
+        assert estimator != "truth" or max(row[4]["heading_error_rad"] for row in rows) < 1e-6
+        poses.append([row[4]["truth_pose"] for row in rows] + [env.unwrapped.np_random.bit_generator.state["state"]])
+    assert same(poses[0], poses[1])
+    assert same(poses[0], poses[2])
+
+
+def test_true_identities_make_no_wrong_pair():
+    env = make(estimator="known", laser={"preset": "paper", "sweeps": 4}, actions="goal")
+    explore(env)
+    summary = env.unwrapped.summary()
+    assert summary["association_false"] == 0
+    assert summary["association_recall"] > 0.98  # a corner that is off by more than its noise is left out
+    assert summary["duplicates"] == 0
+
+
+def test_the_paper_runs_to_the_letter():
+    env = gymnasium.make("mecp_env/Layout-v0", config=EnvConfig.paper(layout="two_rooms"), actions="goal")
+    rows = explore(env)
+    assert rows[-1][2] or rows[-1][3]
+    assert env.unwrapped.summary()["rooms_found"] >= 1

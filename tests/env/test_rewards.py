@@ -2,11 +2,27 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
+import gymnasium
 import numpy as np
 import pytest
+from scipy.special import erf
 
-from mecp_env.config import RewardConfig
-from mecp_env.episode.potentials import RewardInputs
+from mecp_env.config import EnvConfig, RewardConfig
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.potentials import (
+    BLOCK_CELLS,
+    NEAR_M,
+    MetricMemory,
+    RewardInputs,
+    coverage,
+    expected_correct_m2,
+    metric_terms,
+    nearness,
+    start_metrics,
+)
 from mecp_env.episode.rewards import (
     TERMS,
     RewardMemory,
@@ -17,6 +33,7 @@ from mecp_env.episode.rewards import (
     new_memory,
     weights_of,
 )
+from mecp_env.slam.messages import Cell
 from tests.env.helpers import drive, episode_of, make, world_of
 from tests.env.make import happened, reward_inputs
 from tests.slam.make import belief, grid
@@ -53,12 +70,6 @@ def test_quantities_in_their_units():
     assert measured["landmark_information"] == pytest.approx(0.5 * np.log(4.0))  # log 4 of one, nothing of the other
 
 
-def test_more_new_area_earns_more():
-    begin = moment(known=10, version=1)
-    more, less, none = (sums(begin, moment(known=n, version=2))["area"] for n in (40, 20, 10))
-    assert more > less > none == 0.0
-
-
 def test_area_that_a_redrawn_map_loses_is_taken_back():
     assert sums(moment(10, 1), moment(40, 2), moment(30, 3))["area"] == pytest.approx(20 * CELL_M2)
 
@@ -86,23 +97,10 @@ def test_a_map_that_diverged_is_worth_nothing():
     assert measured["landmark_information"] == pytest.approx(0.5 * 2 * np.log(0.01))
 
 
-def test_a_surer_pose_earns_more():
-    surer, same, less = (sums(moment(pose=SURE), moment(pose=p))["pose_information"] for p in (1e-5, SURE, 1e-3))
-    assert surer > same == 0.0 > less
-
-
-def test_surer_landmarks_earn_more_and_more_of_them_do_not():
-    begin = moment(landmarks=(0.04, 0.04))
-    surer, better, same, worse = (
-        sums(begin, moment(landmarks=variances))["landmark_information"]
-        for variances in ((0.01, 0.01), (0.01, 0.04), (0.04, 0.04), (0.04, 0.09))
-    )
-    assert surer > better > same == 0.0 > worse
-    assert sums(begin, moment(landmarks=(0.04,) * 9))["landmark_information"] == pytest.approx(0.0)  # copies
-
-
 def test_the_first_landmark_counts_from_a_metre():
     assert sums(moment(landmarks=()), moment(landmarks=(0.01,)))["landmark_information"] == pytest.approx(np.log(100.0))
+    more = sums(moment(landmarks=(0.04, 0.04)), moment(landmarks=(0.04,) * 9))
+    assert more["landmark_information"] == pytest.approx(0.0)  # copies
 
 
 @pytest.mark.parametrize("seed", range(10))
@@ -110,15 +108,10 @@ def test_no_detour_earns_anything(seed):
     """Growing, shrinking, creating, removing, painting and repainting: back at the start the sums are 0."""
     rng = np.random.default_rng(seed)
     begin = moment(20, 1, pose=SURE, landmarks=(0.01, 0.02))
-    detour = [
-        moment(
-            int(rng.integers(0, 100)),
-            version,
-            pose=float(10.0 ** rng.uniform(-6, 1)),
-            landmarks=tuple(10.0 ** rng.uniform(-5, 1, rng.integers(0, 6))),
-        )
-        for version in range(2, 30)
-    ]
+    detour = []
+    for version in range(2, 30):
+        landmarks = tuple(10.0 ** rng.uniform(-5, 1, rng.integers(0, 6)))
+        detour.append(moment(int(rng.integers(0, 100)), version, pose=10.0 ** rng.uniform(-6, 1), landmarks=landmarks))
     back = moment(20, 99, pose=SURE, landmarks=(0.01, 0.02))
     assert sums(begin, *detour, back) == pytest.approx(dict.fromkeys(sums(begin, back), 0.0), abs=1e-9)
 
@@ -168,20 +161,10 @@ def test_events():
 
 def test_weights():
     config = RewardConfig(area=2.0, contact=-3.0, time=-1.0, pose_information=0.0, landmark_information=0.0)
-    measured = dict.fromkeys(TERMS, 1.0)
-    found = apply_weights(weights_of(config), measured)
-    assert {name: value for name, value in found.items() if value} == {
-        "area": 2.0,
-        "contact": -3.0,
-        "time": -1.0,
-        "completion": 10.0,
-        "divergence": -20.0,
-    }
-
-
-def test_to_diverge_costs_more_than_the_time_of_a_whole_episode():
-    max_steps = make().unwrapped.config.max_steps
-    assert CONFIG.divergence < CONFIG.time * max_steps < 0.0
+    found = apply_weights(weights_of(config), dict.fromkeys(TERMS, 1.0))
+    expected = {"area": 2.0, "contact": -3.0, "time": -1.0, "completion": 10.0, "divergence": -20.0}
+    assert {name: value for name, value in found.items() if value} == expected
+    assert CONFIG.divergence < CONFIG.time * EnvConfig().max_steps < 0.0  # to diverge costs more than a whole episode
 
 
 @pytest.mark.parametrize("source", ["belief", "truth"])
@@ -214,9 +197,120 @@ def test_a_filter_that_diverged_completes_nothing():
     env = make(end={"coverage": 0.1}, reward="terms").unwrapped
     env.reset(seed=1)
     episode_of(env).pipeline.divergence.found = True
-    _, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
-    assert (terminated, truncated) == (False, True)
-    assert info["reward_divergence"] == -20.0
-    assert info["reward_completion"] == 0.0
+    observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
+    assert (terminated, truncated, info["diverged"]) == (False, True, True)
+    assert observation in env.observation_space
+    assert (info["reward_divergence"], info["reward_completion"]) == (-20.0, 0.0)
     assert info["reward_area"] < 0.0
     assert reward < -20.0
+
+
+FREE_M2 = 50.0
+TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
+
+
+def run(
+    env: gymnasium.Env, seed: int = 0, steps: int = 10**6, speed: float = 1.0
+) -> tuple[list[float], dict[str, Any]]:
+    """Rewards of a random walk, and the last info."""
+    env.reset(seed=seed)
+    rng, rewards, over = np.random.default_rng(seed), [], False
+    while not over and len(rewards) < steps:
+        action = rng.uniform(-speed, speed, 2).astype(np.float32)
+        _, reward, terminated, truncated, info = env.step(action)
+        rewards.append(reward)
+        over = terminated or truncated
+    return rewards, info
+
+
+@pytest.mark.parametrize("metric", ["coverage", "correct_coverage"])
+@pytest.mark.parametrize(("shaping", "end"), [(0.0, {}), (0.3, {"coverage": 0.6})])
+def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: float, end: dict[str, float]) -> None:
+    keywords = {"layout": "two_rooms", "max_steps": 60, "end": end}
+    env = make(**keywords, reward={"preset": metric, "shaping": shaping, **TRUTH})
+    paced, moved = make(**keywords, reward={"preset": metric, "pace": 1.0, **TRUTH}), []
+    for seed, speed in enumerate((0.5, 1.0)):
+        rewards, info = run(env, seed, speed=speed)
+        assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"], abs=1e-9)
+        assert 0.0 < sum(rewards) <= 1.0
+        rewards, info = run(paced, speed=speed)
+        moved.append(sum(rewards) - info[f"{metric}_over_steps"])
+    assert moved == pytest.approx([moved[0]] * 2, abs=1e-9)  # pace moves the return by what no action changes
+    assert -1.0 < moved[0] < 0.0
+
+
+def test_rewards_are_those_of_the_formula_and_at_pace_1_a_step_costs_what_is_missing() -> None:
+    shares, limit, paid = [0.1, 0.3, 0.2, 0.5], 3, []
+    for pace in (0.0, 1.0):
+        config, memory = RewardConfig(preset="coverage", pace=pace), MetricMemory()
+        start_metrics(memory, inputs_of(shares[0], 1.0), config)
+        memory.owed.clear()
+        for step, (before, share) in enumerate(pairwise(shares), start=1):
+            terms = metric_terms(memory, inputs_of(share, 1.0 - step / limit), config)
+            paid += [terms["coverage"]] if pace == 0.0 else []
+            assert pace == 0.0 or terms["coverage"] + terms["pace"] == pytest.approx(-(1.0 - before) / limit)
+    assert paid == pytest.approx([0.2 * 2 / 3, -0.1 * 1 / 3, 0.0])
+    assert 0.1 + sum(paid) == pytest.approx(np.mean(shares[:limit]))
+
+
+def test_after_the_end_nothing_can_be_earned() -> None:
+    config = RewardConfig(preset="coverage", pace=1.0)
+    memory = MetricMemory()
+    start_metrics(memory, inputs_of(0.5, 1.0), config)
+    terms = metric_terms(memory, inputs_of(0.5, 0.9)._replace(over=True), config)
+    assert terms["pace"] == pytest.approx(-0.5)
+
+
+def test_the_belief_pays_nearly_what_the_truth_pays() -> None:
+    by_belief, by_truth = (
+        run(make(layout="paper", max_steps=150, reward={"preset": "coverage", **TRUTH, "source": source}))[0]
+        for source in ("belief", "truth")
+    )
+    assert sum(by_belief) == pytest.approx(sum(by_truth), rel=0.1)
+
+
+def test_floor_beyond_the_building_counts_once_and_the_nearest_goal() -> None:
+    memory = MetricMemory(floor_m2=2.0 * FREE_M2)
+    inputs = inputs_of(None, 1.0)
+    assert coverage(memory, inputs) == 1.0
+    assert coverage(memory, inputs._replace(diverged=True)) == 0.0
+    assert nearness(inputs) == 0.0
+    near = inputs._replace(p_goals=np.array([[3.0, 4.0], [30.0, 0.0]]))
+    assert nearness(near) == pytest.approx(np.exp(-5.0 / NEAR_M))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_expected_correct_area_against_a_plain_twin(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    label = rng.integers(0, 4, (21, 37)).astype(np.uint8)
+    origin, side = rng.uniform(-5, 5, 2), 0.1
+    p_map, spread = rng.uniform(-5, 5, (6, 2)), rng.uniform(0.001, 0.3, 6)
+    inputs = reward_inputs(belief(p_map=p_map, covs=spread), grid(label, origin=origin))
+    expected = 0.0
+    for i, j in np.argwhere((label == Cell.FREE) | (label == Cell.DOOR)):
+        block = np.array([j // BLOCK_CELLS, i // BLOCK_CELLS]) + 0.5
+        nearest = np.argmin(np.hypot(*(p_map - origin - block * BLOCK_CELLS * side).T))
+        expected += side**2 * erf(0.25 / np.sqrt(2.0 * spread[nearest]))
+    assert expected_correct_m2(inputs) == pytest.approx(expected)
+    assert expected_correct_m2(inputs._replace(diverged=True)) == 0.0
+
+
+def test_presets_and_what_contradicts_them() -> None:
+    assert EnvConfig().reward == EnvConfig(reward="coverage").reward
+    assert EnvConfig.build(reward={"area": 0.2}).reward.preset == "terms"  # weights alone
+    assert EnvConfig.build(reward={"contact_share": -0.2}).reward.preset == "coverage"
+    assert EnvConfig.build({"reward": "correct_coverage"}, reward="terms").reward.completion == 10.0
+    for name, value in (("area", 0.2), ("contact", -1.0), ("correct_coverage", 0.5)):
+        with pytest.raises(ConfigError, match=rf"(?s){name}.*'coverage'"):
+            EnvConfig(reward={"preset": "coverage", name: value})
+    with pytest.raises(ConfigError, match="did you mean 'coverage'"):
+        EnvConfig(reward="covrage")
+    for preset in ("coverage", "correct_coverage", "terms", "active_terms"):
+        assert EnvConfig.build(EnvConfig(reward=preset).to_dict()) == EnvConfig(reward=preset)
+
+
+def inputs_of(share: float | None, budget: float) -> RewardInputs:
+    """Inputs with a true coverage, or the belief's."""
+    shares = None if share is None else (share, share)
+    empty = grid(np.zeros((8, 8)), resolution_m=0.5)
+    return reward_inputs(belief(), empty, true_shares=shares, free_area_m2=FREE_M2, budget=budget)

@@ -1,131 +1,140 @@
-"""`Rooms-v0`: a new building at every reset, the same one for the same seed, state and options."""
+"""`Rooms-v0`: a new building at every reset, of a difficulty or of a list of them; the same one for the same seed."""
 
 from __future__ import annotations
 
 import pickle
+from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.utils.env_checker import data_equivalence
 
-import mecp_env  # noqa: F401
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import StateError
 from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed
 from mecp_env.world.outline import build_outline
+from tests.env.helpers import same
 
-ROOMS = "mecp_env/Rooms-v0"
-EASY = {"difficulty": "easy", "rooms": 3, "laser": {"sweeps": 1}, "max_steps": 20}
+ROOMS = {"easy": 4, "medium": 8, "hard": 14}
 
 
-def drive(env: gymnasium.Env, steps: int = 5) -> list:
-    return [env.step(np.array([0.4, 0.3 * (step % 3 - 1)], np.float32)) for step in range(steps)]
+def make(**keywords: Any) -> gymnasium.Env:
+    return gymnasium.make("mecp_env/Rooms-v0", laser={"sweeps": 1, "beams": 180}, **keywords)
+
+
+def drive(env: gymnasium.Env) -> list[Any]:
+    return [env.step(np.array([0.4, 0.3 * (step % 3 - 1)], np.float32)) for step in range(5)]
+
+
+def rooms(env: gymnasium.Env, **options: Any) -> int:
+    """The rooms of the building of a reset; a corridor is one."""
+    *_, info = env.reset(options=options or None)
+    return int(info["rooms"])
+
+
+def test_one_of_a_list_is_drawn_at_every_reset() -> None:
+    env = make(difficulty=["easy", "medium"])
+    env.reset(seed=0)
+    assert {rooms(env) for _ in range(12)} == {ROOMS["easy"], ROOMS["medium"]}
+    assert gymnasium.make(env.spec).reset(seed=3)[1]["building"] == env.reset(seed=3)[1]["building"]
+
+
+def test_an_option_sets_the_difficulty_of_one_episode() -> None:
+    env = make(difficulty="easy")
+    assert rooms(env, difficulty="hard", building=3) == ROOMS["hard"]
+    assert rooms(env) == ROOMS["easy"]
+    hard = make(difficulty="hard")
+    hard.reset(options={"building": 3})
+    env.reset(options={"difficulty": "hard", "building": 3})
+    assert np.array_equal(env.unwrapped.view().segments, hard.unwrapped.view().segments)
+
+
+def test_buildings_of_a_single_difficulty_keep_their_numbers() -> None:
+    one, several = make(difficulty="easy"), make(difficulty=["easy", "hard"])
+    assert one.reset(options={"building": 5})[1]["building"] == 5
+    assert several.reset(options={"building": 5})[1]["building"] == 5
+    assert np.array_equal(one.unwrapped.view().segments, several.unwrapped.view().segments)
+
+
+def test_a_state_continues_in_its_building_of_another_difficulty() -> None:
+    env, other = make(), make()
+    env.reset(seed=1, options={"difficulty": "easy"})
+    other.reset(seed=2)
+    state = env.unwrapped.get_state()
+    other.unwrapped.set_state(state)
+    copied = pickle.loads(pickle.dumps(env.unwrapped))
+    assert copied.info()["rooms"] == ROOMS["easy"]
+    rows = [drive(each) for each in (env, other, copied)]
+    assert same(rows[0], rows[1])
+    assert same(rows[0], rows[2])
+    with pytest.raises(StateError, match=r"state.building: -3"):
+        other.unwrapped.set_state(state | {"building": -3})
 
 
 def test_every_reset_is_a_building_of_the_split_and_a_seed_names_it() -> None:
-    env = gymnasium.make(ROOMS, split="validation", **EASY).unwrapped
+    env = make(split="validation", difficulty="easy", rooms=3)
     buildings = [env.reset(seed=3)[1]["building"], *(env.reset()[1]["building"] for _ in range(5))]
     assert len(set(buildings)) > 4
     assert all(0 <= number < len(SPLITS["validation"]) for number in buildings)
     layout = generate(GeneratorSpec.preset("easy", rooms=3), split_seed("validation", buildings[-1]))
-    assert np.array_equal(env.view().segments, build_outline(layout).segments)
-    again = gymnasium.make(ROOMS, split="validation", **EASY)
+    assert np.array_equal(env.unwrapped.view().segments, build_outline(layout).segments)
+    again = make(config=env.unwrapped.config)
     assert [again.reset(seed=3)[1]["building"], *(again.reset()[1]["building"] for _ in range(5))] == buildings
-
-
-def test_a_building_can_be_chosen() -> None:
-    env = gymnasium.make(ROOMS, **EASY)
-    first = env.reset(seed=1, options={"building": 12})
-    assert first[1]["building"] == 12
-    drive(env)
-    second = env.reset(seed=1, options={"building": 12})
-    assert data_equivalence(first, second, exact=True)
-
-
-def test_one_environment_is_as_many_made_anew() -> None:
-    """An earlier building does not affect the next one."""
-    used, fresh = gymnasium.make(ROOMS, **EASY), gymnasium.make(ROOMS, **EASY)
-    used.reset(seed=4)
-    drive(used)
-    assert data_equivalence(used.reset(seed=9), fresh.reset(seed=9), exact=True)
-    assert data_equivalence(drive(used), drive(fresh), exact=True)
-
-
-def test_a_state_knows_its_building() -> None:
-    env, other = gymnasium.make(ROOMS, **EASY).unwrapped, gymnasium.make(ROOMS, **EASY).unwrapped
-    env.reset(seed=5)
-    drive(env, 3)
-    state = env.get_state()
-    other.reset(seed=6)
-    other.set_state(state)
-    copied = pickle.loads(pickle.dumps(env))
-    expected = drive(env)
-    assert data_equivalence(drive(other), expected, exact=True)
-    assert data_equivalence(drive(copied), expected, exact=True)
-    with pytest.raises(StateError, match=r"state.building: -3"):
-        other.set_state(state | {"building": -3})
-
-
-@pytest.mark.parametrize(
-    ("options", "named"),
-    [
-        ({"building": 1_000_000}, "1000000"),
-        ({"building": -1}, "-1"),
-        ({"building": 1.5}, "whole number"),
-        ({"building": True}, "whole number"),
-        ({"start": (0.0, 0.0, 0.0)}, "buildings that change"),
-    ],
-)
-def test_a_wrong_option_is_refused_and_nothing_changed(options: dict, named: str) -> None:
-    env = gymnasium.make(ROOMS, **EASY).unwrapped
-    env.reset(seed=2)
-    before = pickle.dumps(env.get_state())
-    with pytest.raises(ConfigError, match=named):
-        env.reset(seed=8, options=options)
-    assert pickle.dumps(env.get_state()) == before
-
-
-@pytest.mark.parametrize(
-    ("keywords", "named"),
-    [
-        ({"difficulty": "brutal"}, "difficulty"),
-        ({"split": "dev"}, "split"),
-        ({"rooms": 1}, "rooms"),
-        ({"layout": "paper"}, "makes its own"),
-        ({"roms": 3}, "roms"),
-        ({"start": (0.0, 0.0, 0.0)}, "start"),
-    ],
-)
-def test_a_wrong_keyword_is_refused(keywords: dict, named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
-        gymnasium.make(ROOMS, **keywords)
-
-
-def test_the_configuration_of_one_makes_another() -> None:
-    env = gymnasium.make(ROOMS, **EASY)
-    again = gymnasium.make(ROOMS, config=env.unwrapped.config, split="test")
-    assert again.unwrapped.config.layout == {"generate": {"difficulty": "easy", "rooms": 3, "split": "test"}}
+    test = gymnasium.make("mecp_env/Rooms-v0", config=env.unwrapped.config, split="test")
+    assert test.unwrapped.config.layout == {"generate": {"difficulty": "easy", "rooms": 3, "split": "test"}}
     with pytest.raises(ConfigError, match="stands alone"):
         gymnasium.make("mecp_env/Layout-v0", layout={"generate": {}, "name": "x"})
 
 
-@pytest.mark.parametrize(
-    ("keywords", "named"),
-    [
-        ({"lops": 2}, r"Rooms-v0\(\) got an unexpected keyword argument 'lops'; did you mean 'loops'"),
-        ({"door_width": 0.9}, r"did you mean 'door_width_m'"),
-        ({"max_step": 9}, r"did you mean 'max_steps'"),
-        ({"difficulty": "medum"}, r"difficulty: 'medum' .*did you mean 'medium'"),
-        ({"split": "tst"}, r"split: 'tst' .*did you mean 'test'"),
-        ({"estimator": "slamm"}, r"EnvConfig\.estimator: .*did you mean 'slam'"),
-        ({"loops": 20}, r"loops: 20 loops, at most 10 with 8 rooms"),
-    ],
-)
-def test_a_wrong_keyword_gets_a_guess_or_the_bound(keywords: dict, named: str) -> None:
-    with pytest.raises(ConfigError, match=named):
-        gymnasium.make(ROOMS, **keywords)
+def test_one_environment_is_as_many_made_anew() -> None:
+    """An earlier building does not affect the next one."""
+    used, fresh = make(difficulty="easy"), make(difficulty="easy")
+    used.reset(seed=4)
+    drive(used)
+    for options in (None, {"building": 12}):
+        assert same(used.reset(seed=9, options=options), fresh.reset(seed=9, options=options))
+        assert same(drive(used), drive(fresh))
+    assert used.unwrapped.info()["building"] == 12
 
 
-def test_a_single_width_is_a_range() -> None:
-    assert gymnasium.make(ROOMS, door_width_m=0.9, difficulty="easy").reset(seed=0)[1]["rooms"] == 4
+def test_a_batch_takes_lists_and_options() -> None:
+    envs = gymnasium.make_vec("mecp_env/Rooms-v0", 2, difficulty=["easy", "medium"], laser={"sweeps": 1, "beams": 180})
+    *_, infos = envs.reset(options={"difficulty": "easy"})
+    assert infos["rooms"].tolist() == [ROOMS["easy"]] * 2
+    envs.close()
+
+
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"difficulty": "esy"}, "did you mean 'easy'"),
+    ({"difficulty": []}, "a list of them"),
+    ({"difficulty": ["easy", "hrad"]}, "did you mean 'hard'"),
+    ({"split": "tst"}, r"split: 'tst' .*did you mean 'test'"),
+    ({"layout": "paper"}, "makes its own"),
+    ({"lops": 2}, r"Rooms-v0\(\) got an unexpected keyword argument 'lops'; did you mean 'loops'"),
+    ({"max_step": 9}, r"did you mean 'max_steps'"),
+    ({"estimator": "slamm"}, r"EnvConfig\.estimator: .*did you mean 'slam'"),
+    ({"loops": 20}, r"loops: 20 loops, at most 10 with 8 rooms"),
+]
+WRONG += [({name: given}, name) for name in ("difficulty", "split") for given in ({}, 3, np.array([]))]
+WRONG += [({"rooms": 1}, "rooms"), ({"start": (0.0, 0.0, 0.0)}, "start"), ({"door_width": 1}, "'door_width_m'")]
+OPTIONS: list[tuple[dict[str, Any], str]] = [
+    ({"difficulty": "esy"}, "did you mean 'easy'"),
+    ({"difficulty": "easy", "building": 1_000_000}, "building: 1000000, there are 1000000"),
+    ({"start": (0.0, 0.0, 0.0)}, "buildings that change"),
+]
+OPTIONS += [({"building": number}, "-1|whole number") for number in (-1, 1.5, True)]
+
+
+def test_a_wrong_keyword_or_option_gets_a_guess_or_the_bound_and_nothing_changed() -> None:
+    for given, said in WRONG:
+        with pytest.raises(ConfigError, match=said):
+            gymnasium.make("mecp_env/Rooms-v0", **given)
+    env = make(difficulty="easy").unwrapped
+    env.reset(seed=2)
+    before = pickle.dumps(env.get_state())
+    for options, said in OPTIONS:
+        with pytest.raises(ConfigError, match=said):
+            env.reset(seed=8, options=options)
+    assert pickle.dumps(env.get_state()) == before
+    with pytest.raises(ConfigError, match="only generated buildings"):
+        gymnasium.make("mecp_env/PaperMap-v0").reset(options={"difficulty": "easy"})

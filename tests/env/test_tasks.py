@@ -2,16 +2,23 @@
 
 from __future__ import annotations
 
+import csv
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
-from tests.env.helpers import episode_of
+from mecp_env.policies.rollout import EpisodeTask, run_episode
+from mecp_env.policies.setting import Setting
+from tests.env.helpers import episode_of, same
 
 HALLS = "mecp_env/ActiveHalls-v0"
 
@@ -52,24 +59,25 @@ def test_fields_of_a_task_are_overridden_one_by_one() -> None:
     assert config.layout["generate"]["loops"] == 2
     with pytest.raises(ConfigError, match="romms"):
         make(romms=4)
-
-
-def test_old_ids_have_neither_rows_nor_columns() -> None:
-    env = make("mecp_env/Rooms-v0", actions="goal")
-    observation, _ = env.reset(seed=0)
+    observation, _ = make("mecp_env/Rooms-v0", actions="goal").reset(seed=0)  # neither rows nor columns
     assert observation["goals"].shape == (32, 9)
     assert "localisation" not in observation
     assert observation["goals"][:, KIND].max() < PLACE
 
 
-def test_places_can_be_driven_to_and_are_masked_like_goals() -> None:
-    env = make()
+def test_places_can_be_driven_to_have_predictions_and_continue_bit_for_bit() -> None:
+    env, other = make(), make()
     observation, _ = explored(env, 12)
-    masks = env.get_wrapper_attr("action_masks")()
-    assert np.array_equal(masks, observation["goals"][:, VALID] > 0.5)
+    rows = observation["goals"][observation["goals"][:, VALID] > 0.5]
+    assert np.array_equal(env.get_wrapper_attr("action_masks")(), observation["goals"][:, VALID] > 0.5)
+    assert ((rows[:, [SIGMA, SIGMA_RAD]] > 0.0) & (rows[:, [SIGMA, SIGMA_RAD]] < 1.0)).all()
+    assert (rows[:, GAIN] >= 0.0).all()
     place = of_kind(PLACE, observation)[0]
     there = env.unwrapped.goals.p_map[place]
-    _, _, _, _, info = env.step(int(place))
+    other.reset(seed=9)
+    other.unwrapped.set_state(env.unwrapped.get_state())
+    *row, info = env.step(int(place))
+    assert same(row, list(other.step(int(place))[:-1]))
     assert info["event"] == "reached"
     assert np.hypot(*(env.unwrapped.slam_output.belief.T_map_robot[:2] - there)) < 1.0
 
@@ -77,32 +85,12 @@ def test_places_can_be_driven_to_and_are_masked_like_goals() -> None:
 def test_waiting_takes_its_steps_and_keeps_the_robot_where_it_is() -> None:
     env = make()
     observation, info = explored(env, 4)
-    wait = of_kind(WAIT, observation)
     before, metres = info["period"], info["metres"]
-    observation, reward, _, _, info = env.step(int(wait[0]))
+    observation, reward, _, _, info = env.step(int(of_kind(WAIT, observation)[0]))
     assert (info["event"], info["periods"], info["period"]) == ("waited", 5, before + 5)
     assert info["metres"] == pytest.approx(metres, abs=0.5)  # until it stands
     assert reward == pytest.approx(0.0, abs=0.02)
     assert len(of_kind(WAIT, observation)) == 1
-
-
-def test_predictions_are_finite_and_grow_with_the_way_into_the_unknown() -> None:
-    observation, _ = explored(make(), 10)
-    rows = observation["goals"][observation["goals"][:, VALID] > 0.5]
-    assert (rows[:, [SIGMA, SIGMA_RAD]] > 0.0).all()
-    assert (rows[:, [SIGMA, SIGMA_RAD]] < 1.0).all()
-    assert (rows[:, GAIN] >= 0.0).all()
-
-
-def test_an_episode_of_a_task_continues_bit_for_bit_from_its_state() -> None:
-    env, other = make(), make()
-    explored(env, 6)
-    other.reset(seed=9)
-    other.unwrapped.set_state(env.unwrapped.get_state())
-    rows = [env.step(0), env.step(1)], [other.step(0), other.step(1)]
-    for one, two in zip(*rows, strict=True):
-        assert all(np.array_equal(one[0][name], two[0][name]) for name in one[0])
-        assert one[1] == two[1]
 
 
 def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
@@ -146,3 +134,51 @@ def test_a_drive_ends_when_the_pose_is_searched_for_and_open_floor_is_offered() 
     assert info["event"] in ("reached", "refused")
     moved = np.hypot(*(env.unwrapped.view().T_world_robot[:2] - before))
     assert moved > 0.3 or info["localised"]
+
+
+ROOT = Path(__file__).parents[2]
+
+
+def test_it_is_small_and_flat_and_can_be_overridden() -> None:
+    env = gymnasium.make("mecp_env/First-v0")
+    config = env.get_wrapper_attr("config")
+    assert (config.max_steps, config.actions, config.reward.preset) == (500, "discrete", "coverage")
+    assert isinstance(env.observation_space, spaces.Box)
+    assert env.action_space == spaces.Discrete(5)
+    assert config.layout["generate"]["difficulty"] == "easy"
+    other = gymnasium.make("mecp_env/First-v0", max_steps=40, observation="dict", rooms=3)
+    assert other.get_wrapper_attr("config").max_steps == 40
+    assert isinstance(other.observation_space, spaces.Dict)
+
+
+@pytest.mark.slow
+def test_a_random_robot_leaves_much_to_learn_and_the_nearest_goal_sees_all() -> None:
+    env = gymnasium.make("mecp_env/First-v0", split="validation")
+    rng, ends = np.random.default_rng(0), []
+    for building in range(6):
+        env.reset(seed=building, options={"building": building})
+        over = False
+        while not over:
+            *_, terminated, truncated, info = env.step(int(rng.integers(5)))
+            over = terminated or truncated
+        ends.append(info["coverage"])
+    assert np.mean(ends) < 0.7
+    setting = Setting("easy", "validation", "slam", 500)
+    nearest = [run_episode(EpisodeTask("nearest", building, setting)).figures["coverage"] for building in range(3)]
+    assert min(nearest) > 0.97
+
+
+@pytest.mark.slow
+def test_the_script_writes_model_and_curve(tmp_path: Path) -> None:
+    pytest.importorskip("sb3_contrib", reason="needs the extra rl")
+    for algorithm, steps in (("ppo", "2000"), ("maskable_ppo", "500")):
+        out = tmp_path / algorithm
+        line = [sys.executable, "agents/train_first.py", "--algorithm", algorithm, "--steps", steps, "--buildings", "1"]
+        subprocess.run([*line, "--environments", "2", "--out", str(out)], cwd=ROOT, check=True, capture_output=True)
+        with (out / "seed-0" / "progress.csv").open() as file:
+            rows = list(csv.DictReader(file))
+        assert int(rows[0]["steps"]) == 0
+        assert int(rows[-1]["steps"]) >= int(steps)
+        assert 0.0 < float(rows[-1]["coverage"]) <= 1.0
+        assert (out / "seed-0" / "model.zip").stat().st_size > 10_000
+        assert (out / "curve.png").stat().st_size > 10_000

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError, LogError
-from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, run_log
+from mecp_env.evaluation.log_run import LogDrive, LogRun, LogRunConfig, config_for, fault_of, run_log
 from mecp_env.logs import Log, read_log
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.logs.files import BEAMS, drive, write_archive
@@ -64,9 +64,6 @@ def test_scans_at_rest_are_skipped(tmp_path: Path) -> None:
     np.testing.assert_allclose(run.T_odom_robot[-1], poses[-1], atol=1e-9)
     assert len(run_log(log, run=LogRunConfig(rest_m=0.0, rest_deg=0.0)).t) == 12
     assert len(run_log(log, run=LogRunConfig(first=2, scans=3)).t) == 2
-
-
-def test_noise_that_is_not_per_metre_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"LogRunConfig.noise.*per_metre expected"):
         LogRunConfig(noise={"reading": "per_step"})
 
@@ -82,3 +79,27 @@ def test_a_run_says_that_it_mapped_on_while_the_pose_was_lost(tmp_path: Path, un
     (note,) = set(run.result().notes) - set(log.notes)
     assert said in note
     assert run.result().metrics()["resumed"] == 1
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> LogRun:
+    return run_log(read_log(write_archive(tmp_path_factory.mktemp("logs") / "a.npz", scans=60)))
+
+
+def test_diverged_and_lost_to_its_end(run: LogRun) -> None:
+    assert fault_of(run, LogRunConfig()) is None
+    assert "--noise.scale" in str(fault_of(replace(run, ended="diverged"), LogRunConfig()))
+    for known, unknown, fails in ((50, 10, True), (0, 60, True), (57, 3, False)):
+        localised = np.array([True] * known + [False] * unknown)
+        assert (fault_of(replace(run, localised=localised), LogRunConfig()) is not None) == fails
+    assert fault_of(replace(run, localised=np.arange(60) >= 30), LogRunConfig()) is None  # not to its end
+
+
+def test_few_scans_but_for_those_left_out_on_request(run: LogRun) -> None:
+    few = replace(run, log=replace(run.log, found=601))
+    assert "60 of 601" in str(fault_of(few, LogRunConfig()))
+    assert fault_of(replace(run, log=replace(run.log, found=600)), LogRunConfig()) is None
+    assert fault_of(replace(run, counts={"damaged lines": 541}), LogRunConfig()) is not None
+    resting = replace(run, log=replace(run.log, found=1000), counts={"scans at rest, skipped": 940})
+    assert "--odometry none" in str(fault_of(resting, LogRunConfig()))
+    assert fault_of(resting, LogRunConfig(rest_m=0.5)) is None

@@ -19,22 +19,16 @@ def off(first: int, count: int, error: float) -> np.ndarray:
     return errors
 
 
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_twenty_steps_in_a_row_in_position_or_heading_are_lost(sign: float) -> None:
+def test_twenty_steps_in_a_row_in_position_or_heading_the_end_and_divergence_are_lost() -> None:
     assert LOST_STEPS == 20
     assert is_lost(off(10, 20, 1.01), RIGHT, False)
     assert not is_lost(off(10, 19, 1.01), RIGHT, False)
     assert not is_lost(off(10, 20, 0.99), RIGHT, False)
-    assert is_lost(RIGHT, off(10, 20, sign * math.radians(10.1)), False)
-    assert not is_lost(RIGHT, off(10, 20, sign * math.radians(9.9)), False)
-
-
-def test_steps_off_in_position_and_then_in_heading_are_one_row() -> None:
-    assert is_lost(off(10, 12, 2.0), off(22, 8, 0.5), False)
+    for sign in (1.0, -1.0):
+        assert is_lost(RIGHT, off(10, 20, sign * math.radians(10.1)), False)
+        assert not is_lost(RIGHT, off(10, 20, sign * math.radians(9.9)), False)
+    assert is_lost(off(10, 12, 2.0), off(22, 8, 0.5), False)  # one row
     assert not is_lost(off(10, 12, 2.0), off(23, 8, 0.5), False)
-
-
-def test_the_end_and_divergence_are_lost_at_once() -> None:
     assert is_lost(off(59, 1, 1.5), RIGHT, False)
     assert is_lost(RIGHT, RIGHT, True)
     assert not is_lost(RIGHT, RIGHT, False)

@@ -64,16 +64,12 @@ def test_what_the_robot_sees_is_what_has_a_line_of_sight(truth):
         assert truth.sweep(pose, seen) == 0
 
 
-def test_the_free_area_of_the_raster_is_that_of_the_outline(truth):
+def test_free_area_and_rooms_of_the_raster_are_those_of_the_outline(truth):
     assert truth.free_cells * CELL_M**2 == pytest.approx(truth.outline.free_area.area, rel=0.02)
-
-
-def test_rooms_of_the_raster(truth):
     for index, room in enumerate(truth.outline.rooms):
         point = room.representative_point()
         assert truth.room_at(np.array([point.x, point.y])) == index
-    assert truth.room_at(np.array([-50.0, 0.0])) == -1
-    assert truth.room_at(np.array([500.0, 0.0])) == -1
+    assert truth.room_at(np.array([-50.0, 0.0])) == truth.room_at(np.array([500.0, 0.0])) == -1
 
 
 def test_with_half_a_view_only_what_is_ahead_is_seen(truth):
@@ -137,56 +133,50 @@ def test_pairs_are_nearest_first_and_one_to_one(seed):
     assert np.array_equal(got, expected)
 
 
+def recorded(corners, *steps):
+    """The log after these steps: ids and decisions of corners, landmarks of the belief, true corners."""
+    log = AssociationLog(corners)
+    for number, (ids, decision, landmarks, true) in enumerate(steps, start=1):
+        log.record(report_of(number, ids, decision, landmarks), np.array(true))
+    return log
+
+
 def test_association_counts_by_the_book():
-    log = AssociationLog(4)
-    log.record(report_of(1, [0, 1], [2, 2], []), np.array([0, 1]))  # two new ones: nothing was known
-    assert log.counts.tolist() == [0, 0, 0, 2]
-    log.record(report_of(2, [0, 1], [1, 1], [0, 1]), np.array([0, 1]))  # provisional; they become landmarks
-    assert log.counts.tolist() == [0, 0, 0, 4]
-    log.record(report_of(3, [0, 1], [0, 0], [0, 1]), np.array([0, 1]))  # both right
-    assert log.counts.tolist() == [2, 0, 0, 4]
-    log.record(report_of(4, [1, 2], [0, 2], [0, 1]), np.array([0, 1]))  # 0 paired with 1; 1 taken for new
-    assert log.counts.tolist() == [2, 1, 1, 4]
-    log.record(report_of(5, [0, -1], [0, 3], [0, 1]), np.array([-1, -1]))  # spurious paired; spurious ignored
-    assert log.counts.tolist() == [2, 2, 1, 5]
-    assert log.final_counts().tolist() == [2, 2, 1, 5]
+    steps = [
+        (([0, 1], [2, 2], [], [0, 1]), [0, 0, 0, 2]),  # two new ones: nothing was known
+        (([0, 1], [1, 1], [0, 1], [0, 1]), [0, 0, 0, 4]),  # provisional; they become landmarks
+        (([0, 1], [0, 0], [0, 1], [0, 1]), [2, 0, 0, 4]),  # both right
+        (([1, 2], [0, 2], [0, 1], [0, 1]), [2, 1, 1, 4]),  # 0 paired with 1; 1 taken for new
+        (([0, -1], [0, 3], [0, 1], [-1, -1]), [2, 2, 1, 5]),  # spurious paired; spurious ignored
+    ]
+    for number, (_, counts) in enumerate(steps, start=1):
+        assert recorded(4, *(step for step, _ in steps[:number])).counts.tolist() == counts
+    assert recorded(4, *(step for step, _ in steps)).final_counts().tolist() == [2, 2, 1, 5]
 
 
 def test_a_post_that_is_only_named_is_not_missed():
     """A corner with the id of a feature of the map that is no landmark (`use_posts` off) is no missed pair."""
-    log = AssociationLog(2)
-    log.record(report_of(1, [0, 1], [2, 2], [0, 1]), np.array([0, 1]))
-    log.record(report_of(2, [0, 1], [0, 1], [0, 1]), np.array([0, 1]))  # the second is a post, and named
+    steps = [([0, 1], [2, 2], [0, 1], [0, 1]), ([0, 1], [0, 1], [0, 1], [0, 1])]  # the last is a post, and named
+    log = recorded(2, *steps)
     assert log.counts.tolist() == log.final_counts().tolist() == [1, 0, 0, 3]
-    log.record(report_of(3, [0, 2], [0, 2], [0, 1]), np.array([0, 1]))  # here it was taken for new
+    log = recorded(2, *steps, ([0, 2], [0, 2], [0, 1], [0, 1]))  # here it was taken for new
     assert log.counts.tolist() == log.final_counts().tolist() == [2, 0, 1, 3]
 
 
-def test_identity_is_the_majority_not_the_birth():
-    log = AssociationLog(3)
-    log.record(report_of(1, [0], [2], [0]), np.array([2]))  # born from a jamb that was taken for corner 2
-    for step in range(2, 6):
-        log.record(report_of(step, [0], [0], [0]), np.array([1]))
+def test_identity_is_the_majority_not_the_birth_and_two_of_one_are_duplicates():
+    log = recorded(3, ([0], [2], [0], [2]), *[([0], [0], [0], [1])] * 4)  # born from a jamb taken for corner 2
     assert log.features[0, 0] == 1
     assert log.counts.tolist()[:2] == [3, 1]  # at the time: a tie is for the earlier
     assert log.final_counts().tolist() == [4, 0, 0, 1]
+    log = recorded(3, ([0, 1, 2, 3], [2, 2, 2, 2], [0, 1, 2, 3], [0, 0, 1, -1]))
+    assert [log.duplicates(np.array(ids, np.int64)) for ids in ([0, 1, 2, 3], [1, 2, 3], [])] == [1, 0, 0]
 
 
 def test_the_log_grows():
-    log = AssociationLog(5)
     rng = np.random.default_rng(0)
-    for step in range(1, 400):
-        ids = rng.integers(0, 300, 6)
-        log.record(report_of(step, ids, [0] * 6, np.unique(ids)), rng.integers(-1, 5, 6))
+    drawn = [rng.integers(0, 300, 6) for _ in range(399)]
+    log = recorded(5, *((ids, [0] * 6, np.unique(ids), rng.integers(-1, 5, 6)) for ids in drawn))
     assert log.counts.sum() == log.final_counts().sum() == 399 * 6
-
-
-def test_duplicates():
-    log = AssociationLog(3)
-    log.record(report_of(1, [0, 1, 2, 3], [2, 2, 2, 2], [0, 1, 2, 3]), np.array([0, 0, 1, -1]))
-    assert log.duplicates(np.array([0, 1, 2, 3])) == 1
-    assert log.duplicates(np.array([1, 2, 3])) == 0
-    assert log.duplicates(np.empty(0, np.int64)) == 0
 
 
 def nees(error, cov):
@@ -283,16 +273,6 @@ def test_false_doors_and_rooms_are_counted_once(truth):
     assert found + false == len(truth.outline.rooms)  # room 1 and room 78 have no cell
 
 
-def test_the_centre_of_a_room_is_one_of_its_cells():
-    room = np.full((20, 20), -1, np.int16)
-    room[2:18, 2:5] = room[2:5, 2:18] = 3  # an L: the mean of its cells lies outside
-    painted = grid(np.ones((20, 20)), room, origin=(10.0, -5.0), resolution_m=0.5)
-    (x, y), nothing = room_centres(painted, np.array([3, 4]))
-    assert room[int((y + 5.0) / 0.5), int((x - 10.0) / 0.5)] == 3
-    assert np.isnan(nothing).all()
-    assert room_centres(painted, np.empty(0, np.int64)).shape == (0, 2)
-
-
 def chamfer(room: np.ndarray) -> np.ndarray:
     """Twin of the depths: 3 beside a cell of another room, from there 3 a straight step and 4 a slanted one."""
     height, width = room.shape
@@ -322,6 +302,8 @@ def test_the_centre_of_a_room_lies_as_deep_in_it_as_any_cell():
             (x, y), *_ = room_centres(painted, np.array([number]))
             assert room[int(y), int(x)] == number
             assert depth[int(y), int(x)] == depth[room == number].max()
+    assert np.isnan(room_centres(painted, np.array([9]))).all()
+    assert room_centres(painted, np.empty(0, np.int64)).shape == (0, 2)
 
 
 @pytest.mark.parametrize("seed", range(30))
@@ -345,26 +327,35 @@ def test_the_centre_of_a_door_takes_both_faces():
     assert door_centres((), known).shape == (0, 2)
 
 
-def test_an_episode_adds_up():
-    env = make()
-    env.reset(seed=1)
-    base = env.unwrapped
-    errors = []
-    for _ in range(10):
-        _, _, _, _, info = env.step(np.array([0.5, 0.3], np.float32))
+def test_an_episode_adds_up_until_a_wrong_pose_makes_it_lost():
+    env = make(estimator="slam")
+    _, info = env.reset(seed=0)
+    first, errors = info["correct_coverage"], []
+    assert 0.1 < first < info["coverage"]
+    for _ in range(30):
+        *_, info = env.step(np.array([0.3, 0.5], np.float32))
         errors.append(info["pose_error_m"])
-    summary = base.summary()
-    assert summary["periods"] == 10
-    assert summary["pose_error_final_m"] == errors[-1]
+    summary = env.unwrapped.summary()
+    assert (summary["periods"], summary["pose_error_final_m"], summary["lost"]) == (30, errors[-1], False)
     assert summary["pose_error_worst_m"] >= max(errors)
     assert summary["metres"] == pytest.approx(info["metres"])
-    assert 0.5 < summary["metres"] < 10 * 0.4 * 0.75 * 0.6
+    assert 1.0 < summary["metres"] < 30 * 0.4 * 0.75 * 0.4
     assert 0.0 < summary["polygon_cover"] <= summary["grid_cover"] + 0.05
     assert 0.0 <= summary["door_error_m"] < 0.05
     assert 0.0 < summary["grid_iou"] <= 1.0
     free = build_outline(load_layout("two_rooms")).free_area.area
     assert summary["free_area_m2"] == pytest.approx(free, rel=0.02)
     assert all(math.isfinite(value) for value in summary.values())
+    assert first < info["correct_coverage"] < info["coverage"]
+    for area in ("correct_coverage_over_steps", "correct_coverage_over_metres"):
+        assert first <= summary[area] < summary["correct_coverage"]
+        assert info[area] == summary[area]
+    assert 0.0 < info["map_error_m"] < 0.05
+    assert summary["map_rmse_m"] < 0.05
+    episode_of(env).pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
+    info = env.step(np.zeros(2, np.float32))[-1]
+    assert info["pose_error_m"] > 1.0
+    assert info["lost"] is True
 
 
 def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
@@ -380,20 +371,6 @@ def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
     assert metrics.association.duplicates(known.ids) == 1
     assert metrics.map_error(truth, belief(p_map=p_map[:1], ids=[10**6])) == (0.0, 1)
     assert EpisodeMetrics.begin(truth, np.zeros(3)).map_error(truth, known) == (0.0, 4)
-
-
-def test_a_wrong_pose_makes_an_episode_lost_and_its_map_wrong():
-    env = make(estimator="slam")
-    env.reset(seed=1)
-    pipeline = episode_of(env).pipeline
-    for _ in range(12):
-        env.step(np.array([0.5, 0.3], np.float32))
-    assert env.unwrapped.summary()["lost"] is False
-    assert env.unwrapped.summary()["map_rmse_m"] < 0.05
-    pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
-    info = env.step(np.zeros(2, np.float32))[-1]
-    assert info["pose_error_m"] > 1.0
-    assert info["lost"] is True
 
 
 def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_moves(truth):
@@ -421,28 +398,6 @@ def test_the_corners_of_a_box_are_true_ones_where_they_are_seen(truth):
     assert (truth.identify(seen, pose) == -1).all()
 
 
-def with_walls(truth, grid, T_world_map):
-    """`grid` with its cells OCCUPIED that a face of the building crosses."""
-    points = to_map(inverse(T_world_map), truth.floor_and_walls.p_walls)
-    columns, rows = np.floor((points - grid.origin) / grid.resolution_m).astype(int).T
-    label = grid.label.copy()
-    label[rows, columns] = int(Cell.OCCUPIED)
-    return replace(grid, label=label)
-
-
-@pytest.mark.parametrize("T_world_map", [np.zeros(3), np.array([3.0, 2.0, 0.7])], ids=["straight", "turned"])
-def test_a_perfect_map_is_correct_and_one_that_slid_off_is_not(truth, T_world_map):
-    floor, whole = truth.floor_and_walls, with_walls(truth, perfect_map(truth, T_world_map).grid, T_world_map)
-    correct, near, far = (
-        correct_coverage(floor, replace(whole, origin=whole.origin + slid), T_world_map)
-        for slid in ((0.0, 0.0), (0.1, 0.0), (2.0, 1.0))
-    )
-    assert correct > 0.85  # but for the cells that a face crosses
-    assert near > 0.9 * correct
-    assert far < 0.3
-    assert correct_coverage(floor, perfect_map(truth, T_world_map).grid, T_world_map) == 0.0  # without a wall
-
-
 def test_correct_coverage_is_its_plain_twin(truth):
     rng, T_world_map = np.random.default_rng(0), np.array([1.0, 2.0, 0.4])
     floor = truth.floor_and_walls
@@ -455,20 +410,6 @@ def test_correct_coverage_is_its_plain_twin(truth):
     expected = (free & known[floor.wall]).mean()
     assert 0.01 < expected < 0.9
     assert correct_coverage(floor, drawn, T_world_map) == expected
+    assert correct_coverage(floor, perfect_map(truth, T_world_map).grid, T_world_map) == 0.0  # without a wall
     nearest = distances(floor.p_world[:100], floor.p_walls)
     assert np.array_equal(nearest.min(axis=1), nearest[np.arange(100), floor.wall[:100]])
-
-
-def test_info_and_summary_say_how_much_of_the_map_is_correct():
-    env = make(layout="two_rooms")
-    _, info = env.reset(seed=0)
-    first = info["correct_coverage"]
-    assert 0.1 < first < info["coverage"]
-    for _ in range(30):
-        *_, info = env.step(np.array([0.3, 0.5], np.float32))
-    summary = env.unwrapped.summary()
-    assert first < info["correct_coverage"] < info["coverage"]
-    for area in ("correct_coverage_over_steps", "correct_coverage_over_metres"):
-        assert first <= summary[area] < summary["correct_coverage"]
-        assert info[area] == summary[area]
-    assert 0.0 < info["map_error_m"] < 0.05

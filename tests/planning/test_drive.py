@@ -30,11 +30,15 @@ from tests.toy import BEARINGS, Toy, look, wall_distance
 CONTROL, BODY = ControlConfig(), PathsConfig()
 
 
+def started(target: Target, **navigator: int) -> Navigator:
+    made = Navigator(PlanningConfig(navigator=navigator))
+    made.start(target)
+    return made
+
+
 def drive(toy: Toy, target: Target, limit: int = 200) -> Navigator:
     """Drive until the navigator finishes; `nearest` of the toy is the smallest distance from a wall."""
-    navigator = Navigator(PlanningConfig())
-    navigator.start(target)
-    toy.nearest = math.inf
+    navigator, toy.nearest = started(target), math.inf
     for _ in range(limit):
         v, w = navigator.step(toy.output())
         if navigator.outcome != Outcome.RUNNING:
@@ -50,8 +54,7 @@ def target(toy: Toy, x: float, y: float, kind: GoalKind = GoalKind.OPEN) -> Targ
     return Target.of(Goals.of([Goal(kind, *place, 1.0, toy.current)]), 0)
 
 
-@pytest.mark.parametrize("heading", [0.0, 1.5, 3.1, -2.0])
-@pytest.mark.parametrize("T_map_world", [np.zeros(3), np.array([3.0, -1.0, 2.0])])
+@pytest.mark.parametrize(("heading", "T_map_world"), [(0.0, np.zeros(3)), (3.1, np.array([3.0, -1.0, 2.0]))])
 def test_the_robot_reaches_a_place_in_its_room(heading: float, T_map_world: np.ndarray) -> None:
     toy = Toy(np.array([1.0, 1.0, heading]), T_map_world, confirmed=False)
     navigator = drive(toy, target(toy, 4.5, 3.2))
@@ -91,20 +94,6 @@ def test_a_robot_far_behind_a_door_does_not_drive_straight_through_what_lies_bet
         assert not walls or min(walls) > 0.9 * BODY.radius_m
 
 
-def test_a_goal_that_cannot_be_reached_is_refused_and_remembered() -> None:
-    toy = Toy(np.array([2.0, 2.0, 0.0]))
-    toy.add_polygon([0, 1, 2, 3], 0)
-    config, history = PlanningConfig(), GoalHistory()
-    goals = find_goals(toy.output(), history, config)
-    assert goals.kind.tolist() == [GoalKind.DOOR]
-    for _ in range(config.goals.refusals):
-        goals = find_goals(toy.output(), history, config)
-        navigator = drive(toy, target(toy, 3.0, -6.0), 20)
-        assert navigator.outcome == Outcome.REFUSED
-        history.record(goals, 0, navigator.outcome, config.goals)
-    assert len(find_goals(toy.output(), history, config)) == 0
-
-
 def test_a_frontier_that_recedes_is_not_visited_in_vain() -> None:
     """Seen in a long corridor: two frontiers settled from afar, half a metre apart, closed the one at its end."""
     toy = Toy(np.array([14.0, 2.0, np.pi]))
@@ -120,12 +109,12 @@ def test_no_way_is_refused_after_some_tries() -> None:
     navigator = drive(toy, target(toy, 20.0, 2.0), 20)
     assert navigator.outcome == Outcome.REFUSED
     assert navigator.steps <= 5
+    assert Navigator(PlanningConfig()).step(toy.output()) == (0.0, 0.0)  # without a drive
 
 
 def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
     toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
-    navigator = Navigator(PlanningConfig())
-    navigator.start(target(toy, 4.5, 3.2))
+    navigator = started(target(toy, 4.5, 3.2))
     commands = []
     while navigator.outcome == Outcome.RUNNING:
         commands.append(navigator.step(toy.output()))  # the robot does not move
@@ -137,9 +126,7 @@ def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
 
 def test_a_drive_that_takes_too_long_is_refused() -> None:
     toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
-    config = PlanningConfig(navigator={"limit_steps": 3})
-    navigator = Navigator(config)
-    navigator.start(target(toy, 4.5, 3.2))
+    navigator = started(target(toy, 4.5, 3.2), limit_steps=3)
     for _ in range(5):
         toy.move(*navigator.step(toy.output()))
     assert navigator.outcome == Outcome.REFUSED
@@ -147,8 +134,7 @@ def test_a_drive_that_takes_too_long_is_refused() -> None:
 
 def test_a_navigator_in_mid_drive_can_be_copied() -> None:
     toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
-    navigator = Navigator(PlanningConfig())
-    navigator.start(target(toy, 4.5, 3.2))
+    navigator = started(target(toy, 4.5, 3.2))
     for _ in range(6):
         toy.move(*navigator.step(toy.output()))
     twins = (toy, navigator), (copy.deepcopy(toy), pickle.loads(pickle.dumps(navigator)))
@@ -156,31 +142,23 @@ def test_a_navigator_in_mid_drive_can_be_copied() -> None:
     assert costs[0] == costs[1]
 
 
-def test_without_a_drive_the_robot_stands() -> None:
-    assert Navigator(PlanningConfig()).step(Toy(np.array([1.0, 1.0, 0.0])).output()) == (0.0, 0.0)
-
-
-def test_what_lies_behind_is_turned_to_first() -> None:
-    beams, _ = look(np.array([3.0, 2.0, 0.0]))
-    path = np.array([[3.0, 2.0], [1.0, 2.3]])
-    v, w = follow(path, np.array([3.0, 2.0, 0.0]), beams, CONTROL, BODY)
-    assert v == 0.0
-    assert w == pytest.approx(CONTROL.turn_rad_s)
-
-
-def test_speed_falls_towards_the_end_of_the_path() -> None:
-    beams, _ = look(np.array([2.0, 2.0, 0.0]))
+def test_what_lies_behind_is_turned_to_first_and_speed_falls_towards_the_end_of_the_path() -> None:
     pose = np.array([2.0, 2.0, 0.0])
+    beams, _ = look(pose)
+    v, w = follow(np.array([[2.0, 2.0], [1.0, 2.3]]), pose, beams, CONTROL, BODY)
+    assert (v, w) == (0.0, pytest.approx(CONTROL.turn_rad_s))
     speeds = [follow(np.array([[2.0, 2.0], [2.0 + s, 2.0]]), pose, beams, CONTROL, BODY)[0] for s in (0.1, 0.3, 2.0)]
     assert speeds[0] < speeds[1] < speeds[2] == CONTROL.speed_m_s
     assert speeds[0] * CONTROL.period_s <= 0.11
 
 
+def wall_ahead(distance: float) -> np.ndarray:
+    return np.stack([np.full(201, distance), np.linspace(-1.0, 1.0, 201)], axis=1)
+
+
 @pytest.mark.parametrize("distance", [0.25, 0.35, 0.5, 0.8, 1.5])
 def test_the_laser_stops_the_robot_before_a_wall(distance: float) -> None:
-    y = np.linspace(-1.0, 1.0, 201)
-    wall = np.stack([np.full_like(y, distance), y], axis=1)
-    v, w = safe_command(0.75, 0.0, wall, CONTROL.record, BODY.record)
+    v, w = safe_command(0.75, 0.0, wall_ahead(distance), CONTROL.record, BODY.record)
     reach = v * CONTROL.period_s + v * v / (2.0 * CONTROL.acceleration_m_s2)
     end = reach if w == 0.0 else math.sin(reach * w / v) * v / w
     assert end <= max(distance - BODY.radius_m - CONTROL.guard_m, 0.0) + 1e-9
@@ -196,8 +174,7 @@ def test_a_robot_that_rolls_on_does_not_turn_into_a_corner() -> None:
 
 
 def test_a_robot_that_is_too_near_may_move_away_only() -> None:
-    y = np.linspace(-1.0, 1.0, 201)
-    wall = np.stack([np.full_like(y, 0.25), y], axis=1)
+    wall = wall_ahead(0.25)
     assert not can_stop(wall, 0.2, 0.0, 0.4, CONTROL.record, BODY.record)
     assert can_stop(wall, -0.2, 0.0, 0.4, CONTROL.record, BODY.record)
 
@@ -210,18 +187,12 @@ def test_one_wild_beam_does_not_stop_the_robot() -> None:
     assert np.hypot(*points.T).min() > 1.5
 
 
-def test_points_seen_from_a_mounted_laser_are_in_the_frame_of_the_robot() -> None:
+def test_points_seen_are_those_near_in_the_frame_of_the_robot() -> None:
     pose, T_robot_laser = np.array([1.0, 2.0, 0.0]), np.array([0.1, -0.05, 2.0])
-    beams, _ = look(compose(pose, T_robot_laser))
-    points = seen_points(beams, CONTROL, T_robot_laser)
-    assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
-
-
-def test_points_seen_are_those_near() -> None:
-    beams, _ = look(np.array([1.0, 2.0, 0.0]))
-    points = seen_points(beams, CONTROL)
-    assert np.hypot(*points.T).max() <= 2.1
-    assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
+    near, mounted = seen_points(look(pose)[0], CONTROL), look(compose(pose, T_robot_laser))[0]
+    assert np.hypot(*near.T).max() <= 2.1
+    for points in (near, seen_points(mounted, CONTROL, T_robot_laser)):
+        assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
 
 
 @pytest.mark.parametrize("heading", [0.0, 2.0])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,7 +30,6 @@ from mecp_env.planning.goals import (
     find_goals,
     levels_from,
     polygon_levels,
-    rings_by_room,
 )
 from mecp_env.planning.navigator import Target, settled
 from mecp_env.slam.messages import EdgeLabel
@@ -40,24 +40,20 @@ from tests.toy import Toy, layer_at
 CONFIG = PlanningConfig()
 
 
-def frontiers(toy: Toy) -> Goals:
-    return Goals.of(floor_goals(GoalContext.of(toy.output()), GoalsConfig())[1])
+def from_source(source: Any, output: SlamOutput, **config: float) -> Goals:
+    """The goals of one source."""
+    found = source(GoalContext.of(output), GoalsConfig(**config))
+    return Goals.of(found[1] if source is floor_goals else found)
 
 
 def rooms_of_floor(output: SlamOutput) -> np.ndarray:
     return assign_rooms(output.grid.label, output.grid.room, barriers(GoalContext.of(output)), BARRIER_CELLS)
 
 
-def open_edges(output: SlamOutput, config: GoalsConfig) -> Goals:
-    return Goals.of(open_goals(GoalContext.of(output), config))
-
-
-def candidates(output: SlamOutput) -> Goals:
-    return Goals.of(candidate_goals(GoalContext.of(output), GoalsConfig()))
-
-
-def unexplored_doors(output: SlamOutput) -> Goals:
-    return Goals.of(door_goals(GoalContext.of(output), GoalsConfig()))
+def half_a_room(toy: Toy) -> None:
+    """A polygon of the west half of room A, whose edge in the middle is open."""
+    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
+    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
 
 
 def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
@@ -83,44 +79,39 @@ def test_cells_near_lines_are_those_within_the_margin() -> None:
     np.testing.assert_array_equal(near_lines(shape, ends, margin), near)
 
 
-def test_an_open_edge_has_a_goal_beyond_its_middle(toy: Toy) -> None:
-    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))  # a polygon of half the room
-    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
-    goals = open_edges(toy.output(), GoalsConfig())
+def test_an_open_edge_has_a_goal_beyond_its_middle_until_a_polygon_closes_it(toy: Toy) -> None:
+    half_a_room(toy)
+    output = toy.output()
+    goals = from_source(open_goals, output)
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[3.4, 2.0]]))
     assert goals.size_m == pytest.approx([4.0])
-
-
-def test_only_a_polygon_closes_an_open_edge(toy: Toy) -> None:
-    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
-    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
-    output = toy.output()
-    target = Target.of(open_edges(output, GoalsConfig()), 0)
+    assert len(from_source(open_goals, output, open_width_m=4.5)) == 0  # too narrow
+    target = Target.of(goals, 0)
     assert not settled(target, output, CONFIG.goals)  # though the floor there is seen
     toy.p_map[8] = to_map(toy.T_map_world, np.array([[5.9, 2.0]]))[0]
     toy.add_polygon([1, 8, 2], 0)
     output = toy.output()
-    assert len(open_edges(output, GoalsConfig())) == 0
+    assert len(from_source(open_goals, output)) == 0
     assert settled(target, output, CONFIG.goals)
 
 
-def test_near_open_edges_are_one_goal_and_narrow_ones_none(toy: Toy) -> None:
-    toy.p_map[1:3] = to_map(toy.T_map_world, np.array([[3.0, 0.0], [3.0, 4.0]]))
-    toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
+def test_near_open_edges_are_one_goal(toy: Toy) -> None:
+    half_a_room(toy)
     toy.add_polygon([0, 1, 2], 0, open_edges=(1,))
-    assert len(open_edges(toy.output(), GoalsConfig())) == 1
-    assert len(open_edges(toy.output(), GoalsConfig(open_width_m=4.5))) == 0
+    assert len(from_source(open_goals, toy.output())) == 1
 
 
 def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     toy.confirmed = False
     output = toy.output()
-    goals = candidates(output)
+    goals = from_source(candidate_goals, output)
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[4.5, 1.95]]))
     target = Target.of(goals, 0)
     assert not settled(target, output, CONFIG.goals)
     toy.confirmed = True
     assert settled(target, toy.output(), CONFIG.goals)
+    merged = make.graph(candidates=(make.candidate(toy.p_map[[4, 5]], 4),), merged={4: 0})
+    assert from_source(candidate_goals, replace(output, graph=merged)).room.tolist() == [0]
 
 
 def with_gap(toy: Toy, edge: int) -> SlamOutput:
@@ -150,10 +141,7 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     assert gap_goals(GoalContext.of(known), CONFIG.goals) == []
     assert find_goals(known, GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
     assert settled(target, known, CONFIG.goals)
-
-
-def test_a_gap_before_a_wall_is_none(toy: Toy) -> None:
-    assert gap_goals(GoalContext.of(with_gap(toy, edge=3)), CONFIG.goals) == []
+    assert gap_goals(GoalContext.of(with_gap(toy, edge=3)), CONFIG.goals) == []  # before a wall
 
 
 def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy) -> None:
@@ -171,17 +159,17 @@ def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy)
 
 
 def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
-    goals = unexplored_doors(toy.output())
+    goals = from_source(door_goals, toy.output())
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[6.96, 1.95]]))
     assert goals.size_m == pytest.approx([0.9])
     toy.T_world_robot[0] = 7.0
-    assert len(unexplored_doors(toy.output())) == 0
+    assert len(from_source(door_goals, toy.output())) == 0
 
 
 def test_frontiers_lie_in_the_room_and_not_at_the_door(toy: Toy) -> None:
-    assert len(frontiers(toy)) == 0  # all of room A is seen; no room beyond the door is known
+    assert len(from_source(floor_goals, toy.output())) == 0  # all of room A is seen; no room beyond the door is known
     toy.T_world_robot = np.array([8.0, 2.0, 0.0])
-    goals = frontiers(toy)
+    goals = from_source(floor_goals, toy.output())
     assert len(goals)
     assert (in_world(toy, goals.p_map)[:, 0] > 11.0).all()
     assert (goals.room == 1).all()
@@ -205,9 +193,13 @@ def test_floor_seen_from_outside_joins_its_room_but_not_across_a_door(toy: Toy) 
 
 def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
     history = GoalHistory()
+    goals = find_goals(toy.output(), history, CONFIG)
+    assert set(goals.kind.tolist()) == {GoalKind.OPEN, GoalKind.DOOR}  # a room without a polygon is a goal
+    assert in_world(toy, goals.p_map)[0] == pytest.approx([3.0, 2.0], abs=0.3)  # the middle of the floor
     toy.add_polygon([0, 1, 2, 3], 0)
     goals = find_goals(toy.output(), history, CONFIG)
     assert goals.kind.tolist() == [GoalKind.DOOR]
+    assert goals.path_m == pytest.approx([5.8], abs=1.2)  # to the near side of what can be reached, 5.76 m away
     assert complete_rooms(goals, history, toy.graph()) == (0,)
     toy.add_polygon([8, 9, 10, 11], 1)
     for x in np.arange(7.0, 31.0, 1.0):
@@ -219,16 +211,6 @@ def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
     goals = find_goals(toy.output(), history, CONFIG)
     assert len(goals) == 0, [(GoalKind(k), p) for k, p in zip(goals.kind, goals.p_map, strict=True)]
     assert complete_rooms(goals, history, toy.graph()) == (0, 1)
-
-
-def test_a_room_without_a_polygon_is_a_goal(toy: Toy) -> None:
-    goals = find_goals(toy.output(), GoalHistory(), CONFIG)
-    assert set(goals.kind.tolist()) == {GoalKind.OPEN, GoalKind.DOOR}
-    assert in_world(toy, goals.p_map)[0] == pytest.approx(
-        [3.0, 2.0], abs=0.3
-    )  # the middle of the floor outside polygons
-    toy.add_polygon([0, 1, 2, 3], 0)
-    assert find_goals(toy.output(), GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
 
 
 def test_a_known_room_entered_by_another_door_is_a_goal_until_a_polygon_tells(toy: Toy) -> None:
@@ -251,53 +233,27 @@ def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
     often = {Outcome.REFUSED: limits.refusals, Outcome.REACHED: limits.visits, Outcome.SETTLED: limits.settled}
     for ended, times in often.items():
         history = GoalHistory()
-        goals = find_goals(toy.output(), history, CONFIG)
         for drive in range(times):
             found = find_goals(toy.output(), history, CONFIG)
             assert found.visits.tolist() == [drive]
             history.record(found, 0, ended, limits)
         assert len(find_goals(toy.output(), history, CONFIG)) == 0
         assert [drive.closed for drive in history.drives] == [True]
-        assert len(goals) == 1
 
 
-def test_a_candidate_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all_others() -> None:
-    toy, history = Toy(np.array([3.0, 2.0, 0.0]), confirmed=False), GoalHistory()
+@pytest.mark.parametrize("kind", [GoalKind.CANDIDATE, GoalKind.DOOR])
+def test_what_is_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all_others(kind: GoalKind) -> None:
+    """Seen in a home: behind a narrow door the path back was blocked, and the exploration terminated as complete."""
+    toy, history = Toy(np.array([3.0, 2.0, 0.0]), confirmed=kind == GoalKind.DOOR), GoalHistory()
     narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
-    assert find_goals(toy.output(), history, narrow).kind.tolist() == [
-        GoalKind.OPEN
-    ]  # the floor outside polygons, which is in reach
+    assert find_goals(toy.output(), history, narrow).kind.tolist() == [GoalKind.OPEN]  # the floor is in reach
     toy.add_polygon([0, 1, 2, 3], 0)
     for drive in range(narrow.goals.refusals):
         goals = find_goals(toy.output(), history, narrow)
-        assert (goals.kind.tolist(), goals.visits.tolist()) == ([GoalKind.CANDIDATE], [drive])
+        assert (goals.kind.tolist(), goals.visits.tolist()) == ([kind], [drive])
         assert goals.path_m == pytest.approx(np.hypot(*(goals.p_map - toy.output().belief.T_map_robot[:2]).T))
         history.record(goals, 0, Outcome.REFUSED, narrow.goals)
     assert len(find_goals(toy.output(), history, narrow)) == 0
-
-
-def test_a_door_out_of_reach_is_a_goal_until_it_is_closed() -> None:
-    """Seen in a home: behind a narrow door the path back was blocked, and the exploration terminated as complete."""
-    toy, history = Toy(np.array([3.0, 2.0, 0.0])), GoalHistory()
-    toy.add_polygon([0, 1, 2, 3], 0)
-    narrow = PlanningConfig(paths={"radius_m": 1.7}, goals={"reach_m": 0.1})
-    for drive in range(narrow.goals.refusals):
-        goals = find_goals(toy.output(), history, narrow)
-        assert (goals.kind.tolist(), goals.visits.tolist()) == ([GoalKind.DOOR], [drive])
-        history.record(goals, 0, Outcome.REFUSED, narrow.goals)
-    assert len(find_goals(toy.output(), history, narrow)) == 0
-
-
-def test_paths_are_as_long_as_the_way(toy: Toy) -> None:
-    toy.add_polygon([0, 1, 2, 3], 0)
-    (length,) = find_goals(toy.output(), GoalHistory(), CONFIG).path_m
-    assert length == pytest.approx(5.8, abs=1.2)  # to the near side of what can be reached of a place 5.76 m away
-
-
-def test_an_empty_list_has_all_columns() -> None:
-    goals = Goals()
-    assert len(goals) == 0
-    assert goals.p_map.shape == (0, 2)
 
 
 def test_levels_count_steps() -> None:
@@ -308,18 +264,6 @@ def test_rooms_have_the_level_of_the_door_graph() -> None:
     doors = tuple(make.door(i, rooms=rooms) for i, rooms in enumerate([(0, 1), (1, 2), (0, 3), (3, -1), (5, 2)]))
     graph = make.graph(0, (0, 1, 2, 3, 5), doors=doors, merged={4: 2})
     assert door_levels(graph, 0) == {0: 0, 1: 1, 3: 1, 2: 2, 5: 3}
-
-
-def test_polygons_have_the_level_of_shared_vertices(toy: Toy) -> None:
-    toy.add_polygon([0, 4, 5, 3], 0)
-    toy.add_polygon([4, 1, 2, 5], 0)
-    toy.add_polygon([1, 8, 6], 0)
-    toy.add_polygon([9, 10, 11], 1)
-    output = toy.output()
-    rings, p_entry = rings_by_room(output, {0}), to_map(toy.T_map_world, np.array([[0.5, 2.0]]))[0]
-    centres, levels = polygon_levels(rings[0], output.belief, p_entry)
-    assert len(centres) == 3
-    assert levels.tolist() == [0, 1, 2]
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -356,16 +300,9 @@ def test_goals_of_other_rooms_come_last() -> None:
     toy.output()
     toy.T_world_robot = np.array([3.0, 2.0, 0.0])
     output = toy.output()
-    history = GoalHistory()
-    goals = find_goals(output, history, CONFIG)
-    assert goals.room.tolist()[0] == 0
-    assert set(goals.room.tolist()) == {0, 1}
-    assert sorted(goals.room.tolist()) == goals.room.tolist()
-
-
-def test_a_candidate_of_a_merged_room_belongs_to_the_room_it_became(toy: Toy) -> None:
-    graph = make.graph(candidates=(make.candidate(toy.p_map[[4, 5]], 4),), merged={4: 0})
-    assert candidates(replace(toy.output(), graph=graph)).room.tolist() == [0]
+    rooms = find_goals(output, GoalHistory(), CONFIG).room.tolist()
+    assert set(rooms) == {0, 1}
+    assert sorted(rooms) == rooms
 
 
 def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:

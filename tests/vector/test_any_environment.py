@@ -27,10 +27,6 @@ class Counter(gymnasium.Env[Any, Any]):
         self.observation_space = pose if alone else spaces.Dict({"pose": pose, "grid": grid})
         self.action_space = spaces.Discrete(5) if alone else spaces.Box(-1.0, 1.0, (2,), np.float32)
 
-    def action_masks(self) -> Any:
-        """The first so many choices."""
-        return np.arange(5) <= self.count
-
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
         super().reset(seed=seed)
         self.x, self.count, self.end = self.np_random.normal(size=3), 0, int(self.np_random.integers(2, 6))
@@ -76,13 +72,3 @@ def test_a_batch_gives_what_gymnasiums_own_class_gives(
     makers = [partial(Counter, alone)] * COUNT
     batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
     assert equal(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))
-
-
-def test_masks_come_through_the_shared_records(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(hosted, "load", lambda: None)
-    batch = BatchEnv([partial(Counter, True)] * COUNT, workers=2, context="fork")
-    batch.reset(seed=3)
-    assert batch.action_masks().tolist() == [[True, False, False, False, False]] * COUNT
-    batch.step(np.zeros(COUNT, np.int64))
-    assert batch.action_masks([2, 0]).tolist() == [[True, True, False, False, False]] * 2
-    batch.close()

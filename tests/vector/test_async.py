@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
-import signal
 import time
 from typing import Any
 
@@ -14,11 +12,10 @@ import pytest
 from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 
-from mecp_env.core.errors import ActionError
-from mecp_env.vector import BatchEnv, WorkerDied
+from mecp_env.vector import BatchEnv
 from tests.env.helpers import SMALL
-from tests.processes import gone_within, needs_linux
-from tests.vector.helpers import N, choose, equal, make_small
+from tests.processes import gone_within
+from tests.vector.helpers import LAYOUT, N, choose, equal, make_small
 
 STEPS = 14  # per environment
 STILL = np.zeros((N, 2), np.float32)
@@ -131,19 +128,18 @@ def test_a_mask_resets_some_while_others_are_under_way(batch: BatchEnv) -> None:
     assert batch.np_random_seed == (7, 2, 9)
 
 
-@pytest.mark.parametrize("ids", [[], [3], [-1], [0, 0], [[0]], [0.0], ["0"], [True], 0, {0}], ids=str)
-def test_wrong_numbers_of_environments_are_refused(batch: BatchEnv, ids: Any) -> None:
+def test_wrong_numbers_of_environments_and_of_actions_are_refused(batch: BatchEnv) -> None:
     batch.reset(seed=1)
-    with pytest.raises(ValueError, match=r"env_ids: .*expected different numbers of environments from 0 to 2"):
-        batch.send(STILL[:1], ids)
-
-
-def test_an_action_for_each_environment_is_needed(batch: BatchEnv) -> None:
-    batch.reset(seed=1)
+    for ids in ([], [3], [-1], [0, 0], [[0]], [0.0], ["0"], [True], 0, {0}):
+        with pytest.raises(ValueError, match=r"env_ids: .*expected different numbers of environments from 0 to 2"):
+            batch.send(STILL[:1], ids)
     with pytest.raises(ValueError, match="actions: 2 of them, expected one for each of 3 env_ids"):
         batch.send(STILL[:2])
     with pytest.raises(ValueError, match="actions: 3 of them, expected one for each of 1 env_ids"):
         batch.send(STILL, [1])
+    for size in (0, N + 1, 1.5, True, "2"):
+        with pytest.raises(ValueError, match=f"batch_size: {size!r}, expected an integer from 1 to 3"):
+            make_small(batch_size=size)
 
 
 def test_what_is_under_way_is_named(batch: BatchEnv) -> None:
@@ -182,25 +178,6 @@ def test_what_was_never_reset_or_is_over_must_be_reset() -> None:
         venv.recv()
 
 
-def test_an_exception_is_that_of_one_environment_and_the_others_are_received() -> None:
-    venv = make_small()
-    venv.reset(seed=1)
-    actions = STILL.copy()
-    actions[1] = 0.3, np.nan
-    venv.send(actions)
-    with pytest.raises(ActionError, match=r"action\[turn\]: nan") as caught:
-        venv.recv()
-    assert "in environment 1 of the batch" in caught.value.__notes__[0]
-    assert venv.recv()[-1]["env_id"].tolist() == [0, 2]
-    with pytest.raises(ResetNeeded, match=r"\[1\]"):
-        venv.send(STILL)
-    venv.async_reset(seed=5, options={"reset_mask": np.array([False, True, False])})
-    assert venv.recv()[-1]["env_id"].tolist() == [1]
-    venv.send(STILL)
-    assert venv.recv()[-1]["period"].tolist() == [2, 1, 2]
-    venv.close()
-
-
 class Unsendable(gymnasium.Wrapper[Any, Any, Any, Any]):
     """Has something in its info that cannot be sent."""
 
@@ -220,38 +197,13 @@ def test_an_info_that_cannot_be_sent_closes_the_batch() -> None:
     assert gone_within(pids, 5.0)
 
 
-@needs_linux
-def test_a_killed_worker_is_named() -> None:
-    venv = make_small(wrappers=(SlowFirst,))
-    venv.reset(seed=1)
-    pids = venv.pids
-    venv.send(STILL - 0.5)
-    os.kill(pids[1], signal.SIGKILL)
-    with pytest.raises(WorkerDied, match=r"worker 1 \(environments 1 to 2\) was killed by SIGKILL"):
-        venv.recv()
-    assert venv.closed
-    assert gone_within(pids, 5.0)
-
-
 def test_masks_of_those_that_were_received() -> None:
-    venv = make_small(actions="goal", batch_size=1)
+    venv = gymnasium.make_vec(LAYOUT, N, batch_size=1, workers=2, actions="goal", context="fork", **SMALL)
+    assert isinstance(venv, BatchEnv)
     venv.async_reset(seed=1)
     observation, *_, infos = venv.recv()
     masks = venv.action_masks(infos["env_id"])
     assert np.array_equal(masks, observation["goals"][:, :, 8] == 1.0)
     with pytest.raises(AlreadyPendingCallError, match=r"action_masks\(\)"):
         venv.action_masks()
-    venv.close()
-
-
-@pytest.mark.parametrize("size", [0, N + 1, 1.5, True, "2"], ids=str)
-def test_a_wrong_batch_size_is_refused(size: Any) -> None:
-    with pytest.raises(ValueError, match=f"batch_size: {size!r}, expected an integer from 1 to 3"):
-        make_small(batch_size=size)
-
-
-def test_make_vec_takes_the_batch_size() -> None:
-    venv = gymnasium.make_vec("mecp_env/Layout-v0", N, batch_size=2, context="fork", **SMALL)
-    assert isinstance(venv, BatchEnv)
-    assert venv.batch_size == 2
     venv.close()

@@ -23,7 +23,6 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "goals in buildings": (ROOMS, BUILDINGS | PEOPLE | {"actions": "goal", "max_steps": 30}),
 }
 STEPS = 10  # an episode ends, and the next one goes on
-MODES = list(AutoresetMode)
 
 
 def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
@@ -78,7 +77,7 @@ def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any,
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("mode", ["sync", "batch", pytest.param("async", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", ["batch", pytest.param("sync", marks=pytest.mark.slow)])
 def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
     name, keywords = KINDS[kind]
     with closing(make_by(mode, name, N, **keywords)) as venv:
@@ -94,7 +93,7 @@ def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
 
 
 @pytest.mark.parametrize("kind", ["velocity", pytest.param("goals in buildings", marks=pytest.mark.slow)])
-@pytest.mark.parametrize("autoreset", MODES)
+@pytest.mark.parametrize("autoreset", AutoresetMode)
 @pytest.mark.parametrize("mode", ["batch", pytest.param("async", marks=pytest.mark.slow)])
 def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
     kind: str, autoreset: AutoresetMode, mode: str

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import contextlib
 import copy
 import json
 import math
 import pickle
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,18 +16,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
-from mecp_env.core.errors import LayoutError, MecpError
+from mecp_env.core.errors import LayoutError
 from mecp_env.core.settings import MOST_TOLD
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
-from mecp_env.world.schema import BoxSpec, DoorSpec, Pillar
+from mecp_env.world.schema import BoxSpec
 from tests.world.conftest import DOCUMENTS
 
 Document = dict[str, Any]
-
-
-def test_five_layouts_ship() -> None:
-    assert shipped_layouts() == ("furnished", "office", "paper", "twins", "two_rooms")
 
 
 @pytest.mark.parametrize("name", shipped_layouts())
@@ -43,11 +38,8 @@ def test_json_both_ways(name: str, tmp_path: Path) -> None:
     assert pickle.loads(pickle.dumps(layout)) == layout
     path.write_text(layout.to_json(), encoding="utf-16")  # as the shell of Windows redirects
     assert load_layout(path) == layout
-
-
-def test_the_json_has_one_wall_a_line() -> None:
-    lines = load_layout("paper").to_json().splitlines()
-    assert sum(line.startswith('    {"points"') for line in lines) == len(load_layout("paper").walls)
+    lines = layout.to_json().splitlines()  # one wall a line
+    assert sum(line.startswith('    {"points"') for line in lines) == len(layout.walls)
     assert max(map(len, lines)) < 200
 
 
@@ -65,27 +57,6 @@ def test_the_paper_layout_is_as_the_design_says() -> None:
     boxes = [obstacle for obstacle in layout.obstacles if isinstance(obstacle, BoxSpec)]
     assert sum(box.size == (0.4, 0.4) for box in boxes) == 2
     assert len(boxes) == 3
-
-
-def test_the_other_layouts_are_as_the_design_says() -> None:
-    assert len(load_layout("two_rooms").rooms) == 2
-    assert len(load_layout("office").rooms) == 9
-    areas = {round(Polygon(room.polygon).area, 6) for room in load_layout("twins").rooms}
-    assert areas == {16.0}
-    furnished = load_layout("furnished").obstacles
-    assert sum(isinstance(obstacle, Pillar) for obstacle in furnished) >= 1
-    assert sum(isinstance(obstacle, BoxSpec) for obstacle in furnished) >= 5
-
-
-@pytest.mark.parametrize("name", shipped_layouts())
-def test_doors_keep_their_distance(name: str) -> None:
-    """Jambs and corners are separable: every door ends 0.4 m or more from the next door and from the room's corners."""
-    layout = load_layout(name)
-    for door in layout.doors:
-        others = [other for other in layout.doors if other is not door]
-        assert all(math.dist(door.centre, other.centre) >= door.width_m + 0.4 for other in others)
-        for room in (room for room in layout.rooms if room.name in door.rooms):
-            assert min(math.dist(door.centre, corner) for corner in room.polygon) >= door.width_m / 2.0 + 0.4
 
 
 def replace(path: str, value: Any) -> Callable[[Document], None]:
@@ -106,12 +77,10 @@ LONG_BOX = {"kind": "box", "centre": [7, 2.5], "size": [0.1, 5]}
 BOW_TIE = [[0, 0], [5, 5], [5, 0], [0, 5]]
 BAD_DOCUMENTS = {
     "unknown key": (replace("colour", "red"), r"layout\.colour"),
-    "unknown key in a wall": (replace("walls.1.colour", "red"), r"walls\.1\.colour"),
     "wrong type": (replace("walls", 3), r"layout\.walls.*3"),
     "number as text": (replace("walls.1.thickness_m", "0.1"), r"walls\.1\.thickness_m.*'0\.1'"),
     "truth value as number": (replace("doors.0.width_m", True), r"doors\.0\.width_m.*True"),
     "nan": (replace("walls.1.points.0.0", math.nan), r"walls\.1\.points\.0\.0.*nan"),
-    "infinite": (replace("starts.0.heading_deg", math.inf), r"starts\.0\.heading_deg.*inf"),
     "huge whole number": (replace("starts.0.heading_deg", 10**400), r"starts\.0\.heading_deg"),
     "point of three": (replace("walls.1.points.0", [1, 2, 3]), r"walls\.1\.points\.0"),
     "far away": (replace("walls.1.points.0", [5000, 0]), r"walls\.1\.points\.0\.0.*1000.*5000"),
@@ -120,16 +89,11 @@ BAD_DOCUMENTS = {
     "no walls": (replace("walls", []), r"walls.*at least 1"),
     "too many walls": (replace("walls", [{"points": [[0, 0], [1, 0]]}] * 10_001), r"walls.*at most 10000"),
     "walls in a heap": (replace("walls", [{"points": [[0, 0], [9, 5]]}] * 1000), r"walls: too many .* at most 1000000"),
-    "no rooms": (replace("rooms", []), r"rooms.*at least 1"),
-    "no starts": (replace("starts", []), r"starts.*at least 1"),
     "later version": (replace("version", 2), r"version.*1.*2"),
-    "other format": (replace("format", "something"), r"format"),
     "same name twice": (replace("rooms.1.name", "west"), r"rooms\.1\.name: 'west'"),
     "room not simple": (replace("rooms.0.polygon", BOW_TIE), r"rooms\.0\.polygon: not a simple polygon"),
     "rooms overlap": (replace("rooms.0.polygon.1", [5.5, 0]), r"rooms\.1\.polygon: shares 1\.25 m2 with rooms\.0"),
-    "room in a room": (replace("rooms.1.polygon", [[1, 1], [2, 1], [2, 2]]), r"rooms\.1\.polygon: shares 0\.50 m2"),
     "obstacle not simple": (replace("obstacles", [{"kind": "polygon", "points": BOW_TIE}]), r"obstacles\.0\.points"),
-    "unknown obstacle": (replace("obstacles", [{"kind": "cat"}]), r"obstacles\.0.*cat"),
     "door off its wall": (replace("doors.0.centre", [5.2, 1.8]), r"doors\.0\.centre: \(5\.2, 1\.8\) is 0\.200 m off"),
     "door not square": (replace("doors.0.direction_deg", 30), r"doors\.0\.direction_deg: 30"),
     "door too wide": (replace("doors.0.width_m", 4.5), r"doors\.0\.width_m: 4\.5 .* at most 3\.600"),
@@ -138,12 +102,27 @@ BAD_DOCUMENTS = {
     "door to nowhere": (replace("doors.0.rooms", ["west", "north"]), r"doors\.0\.rooms\.1: .*'north'"),
     "start in a wall": (replace("starts.0.point", [5.03, 4]), r"starts\.0\.point: \(5\.03, 4\.0\) lies inside"),
     "start near a wall": (replace("starts.1.point", [8.8, 2]), r"starts\.1\.point: .* 0\.125 m from a wall.*0\.22"),
-    "start outside": (replace("starts.0.point", [20, 2]), r"starts\.0\.point: .* lies .*outside of all walls"),
     "walls not closed": (replace("walls.0.points", [[0, 0], [9, 0], [9, 5], [0, 5]]), r"starts\.0\.point.*not closed"),
     "room without a door": (replace("doors", []), r"starts\.1\.point.*cut off|rooms\.1.*cannot be reached"),
     "narrow door": (replace("doors.0.width_m", 0.4), r"rooms\.1: 'east' cannot be reached by a radius of 0\.22 m"),
     "blocked door": (replace("obstacles", [PILLAR]), r"rooms\.1: 'east' cannot be reached|doors\.0"),
     "start walled in": (replace("obstacles", [LONG_BOX]), r"starts\.1\.point"),
+    "key of a wall": (
+        replace("walls.1.thicknes_m", 0.1),
+        r"walls\.1\.thicknes_m: no such field; .*'thickness_m'",
+    ),
+    "tiny": (replace("rooms.0.polygon.1.0", 1.9e-230), "rooms"),  # a warning is an error here, too
+    "key": (replace("strats", []), r"layout\.strats: no such field; did you mean 'starts'\? \(given: \[\]\)$"),
+    "opening": (replace("doors.0.opening", "cutt"), r"doors\.0\.opening: .*did you mean 'cut'\? \(given: 'cutt'\)$"),
+    "room": (
+        replace("doors.0.rooms.0", "wets"),
+        r"doors\.0\.rooms\.0: no room is called 'wets'; .*'west'\?$",
+    ),
+    "kind": (
+        replace("obstacles", [{"kind": "boxx", "centre": [1, 1], "size": [1, 1]}]),
+        r"obstacles\.0: .*mean 'box'\?",
+    ),
+    "any length": (replace("doors.0.width_m", 10**5000), r"doors\.0\.width_m"),
 }
 
 
@@ -153,10 +132,11 @@ def test_bad_documents_are_refused_with_their_field(name: str, document: Documen
     spoil(document)
     with pytest.raises(LayoutError, match=message):
         load_layout(document)
-    path = tmp_path / "spoilt.json"
-    path.write_text(json.dumps(document))
-    with pytest.raises(LayoutError, match=r"spoilt\.json"):
-        load_layout(path)
+    if name != "any length":
+        path = tmp_path / "spoilt.json"
+        path.write_text(json.dumps(document))
+        with pytest.raises(LayoutError, match=r"spoilt\.json"):
+            load_layout(path)
 
 
 def test_all_faults_of_a_kind_are_told_at_once(document: Document) -> None:
@@ -212,44 +192,22 @@ def test_two_doors_in_one_place_are_refused(along_m: float, changes: Document) -
     assert len(load_layout(two_doors(1.0)).doors) == 2
 
 
-def test_a_missing_file_lists_the_shipped_names(tmp_path: Path) -> None:
+def test_what_is_no_layout_is_refused(tmp_path: Path) -> None:
     for given_name in ("papre", "", "a\0b", "x" * 5000, tmp_path, tmp_path / "none.json"):
-        with pytest.raises(
-            LayoutError, match=r"no such file; shipped layouts are furnished, .*two_rooms|cannot be read"
-        ):
+        with pytest.raises(LayoutError, match=r"no such file; shipped layouts are furn.*two_rooms|cannot be read"):
             load_layout(given_name)
-
-
-def test_the_wrong_extension_is_refused(tmp_path: Path) -> None:
+    for given_name, meant in (("papre", "paper"), ("two_room", "two_rooms"), ("Office", "office")):
+        with pytest.raises(LayoutError, match=f"did you mean '{meant}'"):
+            load_layout(given_name)
     path = tmp_path / "layout.yaml"
     path.write_text(load_layout("two_rooms").to_json())
     with pytest.raises(LayoutError, match=r"ends in \.json, given '\.yaml'"):
         load_layout(path)
-
-
-@pytest.mark.parametrize("wrong", [None, 3, [], b"paper", {1: 2}])
-def test_other_types_are_refused(wrong: Any) -> None:
-    with pytest.raises(LayoutError):
-        load_layout(wrong)
-
-
-def test_a_layout_built_by_hand_is_checked_too() -> None:
+    for wrong in (None, 3, [], b"paper", {1: 2}):
+        with pytest.raises(LayoutError):
+            load_layout(wrong)
     with pytest.raises(LayoutError, match=r"layout\.rooms: .*at least 1 item"):
         Layout(name="x", walls=[], rooms=[], starts=[])
-    assert issubclass(LayoutError, MecpError)
-
-
-def test_one_room_without_doors() -> None:
-    ring = [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]]
-    layout = load_layout(
-        {
-            "name": "cell",
-            "walls": [{"points": ring}],
-            "rooms": [{"name": "cell", "polygon": ring[:-1]}],
-            "starts": [{"point": [2, 1.5]}],
-        }
-    )
-    assert layout.doors == ()
 
 
 numbers = st.one_of(
@@ -281,7 +239,7 @@ def mutate(document: Any, data: st.DataObject) -> None:
         place[key] = data.draw(numbers if action == "number" else values)
 
 
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=120, deadline=None)
 @given(st.data())
 def test_spoilt_documents_raise_nothing_but_layout_errors(data: st.DataObject) -> None:
     document = copy.deepcopy(DOCUMENTS[data.draw(st.sampled_from(["two_rooms", "furnished"]))])
@@ -295,61 +253,23 @@ def test_spoilt_documents_raise_nothing_but_layout_errors(data: st.DataObject) -
     assert load_layout(json.loads(layout.to_json())) == layout
 
 
-def test_a_tiny_coordinate_gives_no_warning() -> None:
-    document = copy.deepcopy(DOCUMENTS["two_rooms"])
-    document["rooms"][0]["polygon"][1][0] = 1.9e-230
-    with pytest.raises(LayoutError, match="rooms"):  # a warning is an error here, too
-        load_layout(document)
-
-
-@settings(max_examples=100, deadline=None)
-@given(st.integers(0, 10**6), st.binary(max_size=3), st.integers(0, 40))
-def test_spoilt_bytes_raise_nothing_but_layout_errors(tmp_path_factory: Any, at: int, piece: bytes, cut: int) -> None:
-    text = load_layout("two_rooms").to_json().encode()
-    at %= len(text)
-    path = tmp_path_factory.mktemp("fuzz") / "spoilt.json"
-    path.write_bytes(text[:at] + piece + text[at + cut :])
-    with contextlib.suppress(LayoutError):
-        load_layout(path)
-
-
-def test_the_schema_is_public() -> None:
-    schema = Layout.model_json_schema()
-    assert set(schema["required"]) == {"name", "walls", "rooms", "starts"}
-    assert schema["additionalProperties"] is False
-
-
 @pytest.mark.parametrize("name", shipped_layouts())
 def test_the_direction_of_a_cut_follows_from_its_wall(name: str) -> None:
     document, turned = copy.deepcopy(DOCUMENTS[name]), copy.deepcopy(DOCUMENTS[name])
-    for door in document["doors"]:
-        del door["direction_deg"]
-    for door in turned["doors"]:
-        del door["direction_deg"]
-        door["rooms"] = door["rooms"][::-1]
+    for door, other in zip(document["doors"], turned["doors"], strict=True):
+        del door["direction_deg"], other["direction_deg"]
+        other["rooms"] = other["rooms"][::-1]
     there, back = load_layout(document), load_layout(turned)
-    assert there == load_layout(name)
-    assert all((one.heading - other.heading) % math.tau == pytest.approx(math.pi) for one, other in doors(there, back))
-    assert load_layout(json.loads(there.to_json())) == there
+    assert there == load_layout(name) == load_layout(json.loads(there.to_json()))
+    for door, other in zip(there.doors, back.doors, strict=True):
+        assert (door.heading - other.heading) % math.tau == pytest.approx(math.pi)
 
 
-def doors(one: Layout, other: Layout) -> Iterator[tuple[DoorSpec, DoorSpec]]:
-    return zip(one.doors, other.doors, strict=True)
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (("centre", [0, 2]), r"doors\.0\.centre.*not between its rooms"),
-        (("rooms", ["west", "north"]), r"doors\.0\.rooms\.1: .*'north'"),
-        (("centre", [5.2, 1.8]), r"doors\.0\.centre: \(5\.2, 1\.8\) is 0\.200 m off"),
-        (("direction_deg", "up"), r"doors\.0\.direction_deg"),
-    ],
-)
-def test_a_door_without_a_direction_may_be_wrong_otherwise(spoil: tuple[str, Any], message: str) -> None:
-    document = copy.deepcopy(DOCUMENTS["two_rooms"])
+@pytest.mark.parametrize("name", ["door in the outer wall", "door to nowhere", "door off its wall"])
+def test_a_door_without_a_direction_may_be_wrong_otherwise(name: str, document: Document) -> None:
+    spoil, message = BAD_DOCUMENTS[name]
+    spoil(document)
     del document["doors"][0]["direction_deg"]
-    document["doors"][0][spoil[0]] = spoil[1]
     with pytest.raises(LayoutError, match=message):
         load_layout(document)
 
@@ -379,29 +299,24 @@ def test_solids_with_a_gap_are_as_good_as_walls_with_a_cut() -> None:
     assert outline.doors.thickness == pytest.approx([0.1])
     assert outline.free_area.area == pytest.approx(24.09)
     assert load_layout(json.loads(layout.to_json())) == layout
-
-
-def test_posts_of_a_gap_may_be_a_little_off() -> None:
     document = solid_house()
-    replace("solids.0.holes.0.5", [4, 1.05])(document)
+    replace("solids.0.holes.0.5", [4, 1.05])(document)  # posts may be a little off
     replace("doors.0.width_m", 0.87)(document)
     assert build_outline(load_layout(document)).corners.jamb.sum() == 4
 
 
+CUT = {"centre": [4.05, 1.45], "width_m": 0.9, "rooms": ["west", "east"], "direction_deg": 0, "opening": "cut"}
 BAD_SOLIDS = {
     "crosses itself": (replace("solids.0.holes.0", BOW_TIE), r"solids\.0: not a simple polygon"),
     "hole outside": (replace("solids.0.holes.0.3", [-3, 0]), r"solids\.0: not a simple polygon"),
     "nothing at all": (replace("solids", []), r"layout: walls: at least 1 expected"),
-    "too many points": (
-        replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2),
-        r"rooms: 24\d{3} faces, at most 20000",
-    ),
+    "too many points": (replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2), r"rooms: 24\d{3} faces"),
     "gap without direction": (replace("doors.0.direction_deg", None), r"doors\.0: .*a gap has direction_deg"),
     "gap without depth": (replace("doors.0.depth_m", None), r"doors\.0: .*a gap has depth_m"),
     "cut with depth": (replace("doors.0.opening", "cut"), r"doors\.0: .*a cut has none"),
+    "cut without walls": (replace("doors.0", CUT), r"doors\.0\.opening: cut, but the layout has no walls"),
     "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
     "gap in the open": (replace("doors.0.width_m", 0.5), r"doors\.0\.width_m: an end is 0\.20 m from a wall, at most"),
-    "gap to nowhere": (replace("doors.0.rooms.1", "north"), r"doors\.0\.rooms\.1: no room is called 'north'"),
     "gap twice": (lambda document: document["doors"].append(document["doors"][0]), r"doors\.1\.centre: .* of doors\.0"),
     "gap the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre: .*not between its rooms"),
 }
@@ -416,25 +331,11 @@ def test_bad_solids_are_refused_with_their_field(name: str) -> None:
         load_layout(document)
 
 
-def test_a_cut_needs_a_wall() -> None:
-    document = solid_house()
-    document["doors"][0] |= {"opening": "cut", "depth_m": None}
-    with pytest.raises(LayoutError, match=r"doors\.0\.opening: cut, but the layout has no walls"):
-        load_layout(document)
-
-
-DOCS = Path(__file__).parents[2] / "docs" / "layouts.md"
-
-
-def test_the_layout_in_the_docs_is_sound() -> None:
-    text = DOCS.read_text().partition("```json\n")[2].partition("```")[0]
-    layout = load_layout(json.loads(text))
+def test_the_docs_name_every_field_with_its_bounds_and_their_layout_is_sound() -> None:
+    page = (Path(__file__).parents[2] / "docs" / "layouts.md").read_text()
+    layout = load_layout(json.loads(page.partition("```json\n")[2].partition("```")[0]))
     assert (len(layout.rooms), len(layout.doors), len(layout.obstacles)) == (2, 1, 3)
-    assert load_layout(json.loads(layout.to_json())) == layout
-
-
-def test_the_docs_name_every_field_and_its_bounds() -> None:
-    text = DOCS.read_text().replace(",", "")
+    text = page.replace(",", "")
     schema = Layout.model_json_schema()
     for part in (schema, *schema["$defs"].values()):
         for name, field in part["properties"].items():

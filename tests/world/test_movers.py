@@ -24,7 +24,7 @@ from mecp_env.world.faces import moving_faces
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
 from mecp_env.world.moving_obstacles import Movers, Moving
-from mecp_env.world.outline import Outline, build_outline
+from mecp_env.world.outline import Outline
 from mecp_env.world.pedestrians import WalkwayPlanner, clear_leg
 from mecp_env.world.simulation import Simulation
 from tests.world.conftest import OUTLINES
@@ -75,27 +75,21 @@ def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
         yield simulation.step(v, w).contact
 
 
-@pytest.mark.parametrize("polite", [True, False])
-@pytest.mark.parametrize("name", ["paper", "furnished", "office"])
+@pytest.mark.parametrize(("name", "polite"), [("paper", True), ("furnished", False), ("office", True)])
 def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) -> None:
     simulation, movers = world(name, polite=polite)
-    walked = np.zeros(len(movers.state.pedestrians))
-    for _ in random_drive(simulation, 400):
+    walked, rooms = np.zeros(len(movers.state.pedestrians)), [set[int]() for _ in movers.state.pedestrians]
+    for _ in random_drive(simulation, 500 if name == "paper" else 250):
         pedestrians = movers.state.pedestrians
         for walker in pedestrians:
             assert wall_distance(OUTLINES[name].segments, walker[0], walker[1]) > walker[crowd.RADIUS] - 1e-6
-            assert OUTLINES[name].free_area.contains(shapely.Point(walker[:2]))
+        assert shapely.contains_xy(OUTLINES[name].free_area, *pedestrians[:, :2].T).all()
         assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
         walked += np.hypot(*(pedestrians[:, :2] - pedestrians[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
-    assert walked.mean() > 20.0  # m in 160 s: they do walk
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_polite_pedestrians_never_touch_a_robot_that_stands(seed: int) -> None:
-    simulation, movers = world("two_rooms", seed, people=5)
-    for _ in range(400):
-        assert not simulation.step(0.0, 0.0).contact
-        assert gaps(movers, simulation.T_world_robot[:2])[0].min() > 0.2
+        for seen, room in zip(rooms, OUTLINES[name].room_at(pedestrians[:, :2]).tolist(), strict=True):
+            seen.add(room)
+    assert walked.mean() > 12.0  # m in 100 s: they do walk
+    assert name != "paper" or min(len(seen - {-1}) for seen in rooms) >= 2
 
 
 def test_polite_pedestrians_never_step_up_to_a_robot_that_drives() -> None:
@@ -121,50 +115,15 @@ def test_pedestrians_who_are_not_polite_bump_into_the_robot_but_not_through_it()
     assert deepest > -0.12
 
 
-def test_a_person_is_an_obstacle_for_the_robot() -> None:
-    outline = OUTLINES["paper"]
-    pedestrians = np.zeros((1, crowd.PEDESTRIAN))
-    pedestrians[0, [crowd.X, crowd.Y, crowd.RADIUS, crowd.PACE, crowd.PAUSE]] = 3.0, 2.0, 0.25, 1.0, 1e6
-    state = Moving(
-        pedestrians=pedestrians, routes=np.zeros((1, 96, 2)), legs=np.zeros((1, 2), np.int64), places=np.zeros((1, 2))
-    )
-    simulation = Simulation(outline, ROBOT, Movers(None, CrowdConfig(polite=False), ROBOT, state))
-    simulation.reset(np.array([1.5, 2.0, 0.0]))
-    felt = [simulation.step(0.75, 0.0).contact for _ in range(12)]
-    assert felt[-1]
-    assert simulation.T_world_robot[0] == pytest.approx(3.0 - 0.25 - 0.22, abs=0.02)
-
-
-def test_pedestrians_go_from_room_to_room_through_doors() -> None:
-    simulation, movers = world("paper", 2, people=4)
-    rooms = [set() for _ in range(4)]
-    for _ in range(900):
-        simulation.step(0.0, 0.0)
-        for seen, room in zip(rooms, OUTLINES["paper"].room_at(movers.state.pedestrians[:, :2]), strict=True):
-            seen.add(int(room))
-    assert min(len(seen - {-1}) for seen in rooms) >= 2
-
-
-def test_the_same_state_gives_the_same_pedestrians() -> None:
-    simulation, movers = world("furnished", 5, movable_boxes=4)
-    for _ in random_drive(simulation, 60):
-        pass
-    twin, other = copy.deepcopy((simulation, movers))
-    for _ in zip(random_drive(simulation, 120, 7), random_drive(twin, 120, 7), strict=True):
-        assert movers.state.pedestrians.tobytes() == other.state.pedestrians.tobytes()
-        assert movers.state.boxes.tobytes() == other.state.boxes.tobytes()
-        assert simulation.get_state()["body"].tobytes() == twin.get_state()["body"].tobytes()
-
-
 def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
     outline = OUTLINES["two_rooms"]
     simulation, movers = with_box(outline, [2.5, 3.5, 0.3], [0.4, 0.5], [1.0, 3.5, 0.0])
     for _ in range(5):
         simulation.step(0.75, 0.0)
+    floor = outline.free_area.buffer(0.03)
     for step in range(40):
         simulation.step(0.75, 0.0)
-        corners = movers.box_corners
-        assert all(outline.free_area.buffer(0.03).contains(shapely.Point(corner)) for corner in corners), step
+        assert shapely.contains_xy(floor, *movers.box_corners.T).all(), step
     assert movers.state.boxes[0, 0] > 3.5
     for _ in range(10):
         simulation.step(-0.2, 0.0)
@@ -197,21 +156,12 @@ def test_the_laser_sees_pedestrians_and_boxes() -> None:
     assert scan.ranges[0] == pytest.approx(np.minimum(exact, 30.0))
 
 
-def test_closed_doors_are_wall_and_what_is_behind_is_gone() -> None:
-    layout = load_layout("two_rooms")
-    start = np.array(layout.starts[0].point)
-    shut = close_doors(layout, np.array([0]), start)
-    outline = build_outline(shut)
-    assert len(outline.rooms) == 1
-    assert len(outline.doors) == 0
-    assert outline.free_area.area < 0.7 * OUTLINES["two_rooms"].free_area.area
-    assert close_doors(layout, np.empty(0, np.int64), start) is layout
-
-
 def test_doors_are_drawn_by_their_probability_and_not_beside_the_start() -> None:
     outline, rng = OUTLINES["paper"], np.random.default_rng(0)
     doors, state = outline.doors, rng.bit_generator.state
     half, every = ({"closed_doors": share, "reachable_share": 0.0} for share in (0.5, 1.0))
+    layout = load_layout("paper")
+    assert close_doors(layout, np.empty(0, np.int64), np.array(layout.starts[0].point)) is layout
     assert not len(draw_closed(outline, np.zeros(3), ClutterConfig(), rng))
     assert rng.bit_generator.state == state
     start = np.array([1.0, 1.0, 0.0])
@@ -259,26 +209,23 @@ def crowded(boxes: int, seed: int) -> tuple[Simulation, Movers]:
     return simulation, movers
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("boxes", [0, 12])
 def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) -> None:
     """In pymunk the order of contacts depended on the past of the space: each control step has its own space now."""
     rng, touched = np.random.default_rng(0), 0
-    for seed in range(3):
-        simulation, movers = crowded(boxes, seed)
-        for _ in range(25):
-            touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
-            twin, other = copy.deepcopy((simulation, movers))
-            for v, w in rng.uniform([-0.3, -0.8], [0.75, 0.8], (4, 2)):
-                expected, found = simulation.step(v, w), twin.step(v, w)
-                assert found.increments.tobytes() == expected.increments.tobytes()
-                assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
-                assert other.state.boxes.tobytes() == movers.state.boxes.tobytes()
-                assert other.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
-    assert touched > 50
+    simulation, movers = crowded(boxes, 0)
+    for _ in range(10):
+        touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
+        twin, other = copy.deepcopy((simulation, movers))
+        for v, w in rng.uniform([-0.3, -0.8], [0.75, 0.8], (4, 2)):
+            assert twin.step(v, w).increments.tobytes() == simulation.step(v, w).increments.tobytes()
+            assert twin.get_state()["body"].tobytes() == simulation.get_state()["body"].tobytes()
+            assert other.state.boxes.tobytes() == movers.state.boxes.tobytes()
+            assert other.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
+    assert touched > 5
 
 
-@pytest.mark.parametrize("boxes", [0, 8])
+@pytest.mark.parametrize("boxes", [8])
 def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.MonkeyPatch, boxes: int) -> None:
     parts: list[tuple[Array, Array]] = []
 

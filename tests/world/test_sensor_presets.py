@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-import gymnasium
 import numpy as np
 import pytest
 
@@ -17,7 +16,7 @@ from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import Outline, build_outline
-from tests.env.helpers import IDS, NEEDED
+from tests.env.helpers import drive, make, same
 from tests.world.make import motion
 
 REAL = sorted(LASERS.keys() - {"paper", "ideal"})
@@ -92,13 +91,13 @@ def test_dark_walls_swallow_their_share(hall: Outline) -> None:
     """Each wall is dark or not for a whole episode; of a dark one the named share of the beams does not return."""
     config = LaserConfig(preset="utm30lx", dark_share=0.5, dark_dropout=0.3, grazing_deg=90.0)
     shares = []
-    for seed in range(40):
+    for seed in range(30):
         laser, rng = Laser(hall, config, seed), np.random.default_rng(0)
         scans = [laser.scan(np.array([LONG_M - 3.0, 0.5 * WIDE_M, 0.0]), rng) for _ in range(20)]
         ahead = np.abs(scans[0].bearings) < math.radians(20.0)
         shares.append(1.0 - np.mean([scan.hit[ahead] for scan in scans]))
     dark = np.array(shares) > 0.1
-    assert 8 < dark.sum() < 32
+    assert 6 < dark.sum() < 24
     assert np.array(shares)[dark] == pytest.approx(np.full(dark.sum(), 0.3), abs=0.04)
     assert not np.array(shares)[~dark].any()
 
@@ -123,44 +122,19 @@ def test_single_fields_override_a_preset() -> None:
     assert (kept.laser.preset, kept.laser.max_range_m, kept.laser.beams) == ("urg04lx", 4.0, 341)
     wheels = OdometryConfig(preset="skid_steer", slip_share=0.0)
     assert (wheels.slip_share, wheels.turn_sigma_deg) == (0.0, WHEELS["skid_steer"]["turn_sigma_deg"])
+    for section, known in (("laser", LASERS), ("odometry", WHEELS)):
+        with pytest.raises(ConfigError) as refused:
+            EnvConfig.build({section: {"preset": "urg04lz"}})
+        assert [name for name in known if f"'{name}'" not in str(refused.value)] == []
 
 
-@pytest.mark.parametrize(("section", "known"), [("laser", LASERS), ("odometry", WHEELS)])
-def test_an_unknown_preset_is_refused_with_all_names(section: str, known: dict[str, object]) -> None:
-    with pytest.raises(ConfigError) as refused:
-        EnvConfig.build({section: {"preset": "urg04lz"}})
-    for name in known:
-        assert f"'{name}'" in str(refused.value)
-
-
-@pytest.mark.parametrize("env_id", IDS)
-def test_presets_work_in_every_environment(env_id: str) -> None:
-    keywords = (
-        NEEDED.get(env_id, {})
-        | {"actions": "velocity", "observation": "dict"}
-        | {"laser": {"preset": "urg04lx"}, "odometry": {"preset": "turtlebot"}}
-    )
-    env = gymnasium.make(env_id, **keywords)
-    observation, _ = env.reset(seed=0)
-    assert env.observation_space.contains(observation)
+def test_presets_work_in_an_environment() -> None:
+    env = make(laser={"preset": "urg04lx"}, odometry={"preset": "turtlebot"})
+    assert env.observation_space.contains(env.reset(seed=0)[0])
     state = env.unwrapped.get_state()
-    steps = [env.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(3)]
+    steps = drive(env, 3)
     env.unwrapped.set_state(state)
-    again = [env.step(np.array([0.5, 0.3], np.float32))[0] for _ in range(3)]
-    for one, two in zip(steps, again, strict=True):
-        assert all(np.array_equal(one[key], two[key]) for key in one)
-    env.close()
-
-
-@pytest.mark.parametrize("name", sorted(WHEELS))
-def test_odometry_noise_is_as_named(name: str) -> None:
-    """Over a metre straight on, and over a quarter turn on the spot, without slip."""
-    config, rng = OdometryConfig(preset=name, slip_share=0.0), np.random.default_rng(5)
-    straight, turn = motion((0.25, 0.0), steps=4), motion((0.0, math.pi / 8), steps=4)
-    ahead = np.array([measure(straight, config, rng).increments.sum(axis=0) for _ in range(4000)])
-    around = np.array([measure(turn, config, rng).increments.sum(axis=0) for _ in range(4000)])
-    assert ahead.std(axis=0) == pytest.approx([config.distance_sigma_m, config.turn_sigma_rad], rel=0.05)
-    assert around[:, 1].std() == pytest.approx(config.turn_sigma_rad * math.sqrt(config.turn_m), rel=0.05)
+    assert same(steps, drive(env, 3))
 
 
 def test_wheels_slip_in_their_share_of_the_steps() -> None:
