@@ -162,9 +162,13 @@ def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time(
             waiting = np.flatnonzero(goals.kind[:32] == WAIT)
             wait_s = env.unwrapped.config.planning.known_ground.wait_steps * 0.4
             assert observation[columns["near"]][waiting] == pytest.approx(10 / (10 + wait_s))
-            explores = goals.kind[:32] < 4  # nearest in time first
-            assert np.flatnonzero(explores).tolist() == list(range(explores.sum()))
-            assert (np.diff(observation[columns["near"]][: explores.sum()]) <= 1e-6).all()
+            exploring = int((goals.kind < 4).sum())  # they come first, those with most new floor per path before others
+            assert (goals.kind[:exploring] < 4).all()
+            grid = env.unwrapped.slam_output.grid
+            place = grid.label, grid.origin, grid.resolution_m
+            floor = np.array([unseen_floor(x, y, place) for x, y in goals.p_map[:exploring].tolist()])
+            value = np.maximum(floor, 0.1) ** 0.7 / (goals.path_m[:exploring] + 2.0)
+            assert (np.diff(value) <= 1e-9).all()
             kinds |= set(goals.kind.tolist())
             action = env.action_space.sample(mask=info["action_mask"])
             observation, _, terminated, truncated, info = env.step(action)
