@@ -187,7 +187,7 @@ class FieldCheck:
     def check(self, value: Any, hint: Any, where: str) -> None:
         """Raise `StateError` unless `value` is of the type `hint`, and what is in it of those declared."""
         if not fits(value, hint):
-            raise StateError(f"{where}: expected {getattr(hint, '__name__', hint)}, given {brief(value)}")
+            raise StateError(f"{where}: expected {named(hint)}, given {brief(value)}")
         self._look_inside(value, where)
 
     def _look_inside(self, value: Any, where: str) -> None:
@@ -217,9 +217,22 @@ class FieldCheck:
         return self._examples[cls]
 
 
+def named(hint: Any) -> str:
+    """A type in an error, with those of its items."""
+    kind = re.sub(r"\w+\.|\[\w+, (?=dtype)", "", str(hint)) if getattr(hint, "__args__", ()) else ""
+    return kind or str(getattr(hint, "__name__", hint))
+
+
 def brief(value: Any) -> str:
-    """A value in an error: of a container or object only the kind, because what is nested can be endless to print."""
-    return f"{value!r:.60}" if type(value) in PLAIN else type(value).__name__
+    """A value in an error: of what holds others only the kind, because what is nested can be endless to print."""
+    if isinstance(value, np.ndarray):
+        return f"an array {value.shape} of {value.dtype}"
+    return f"{value!r:.60}" if type(value) in PLAIN else f"{type(value).__name__}{_inside(value)}"
+
+
+def _inside(value: Any) -> str:
+    kinds = sorted({type(item).__name__ for item in contents_of(value)})
+    return f" of {', '.join(kinds):.60}" if kinds else ""
 
 
 def is_object(value: Any) -> bool:

@@ -171,13 +171,20 @@ def _columns(names: list[str], row: Array | None, view_deg: float | None, notes:
     stamp, pose = _stamp_and_pose(words)
     if len(pose) not in (0, len(POSES)) or (stamp is None and not pose):
         raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
-    readings = _readings(names, {stamp, *pose})
-    laser = {word: at for at, word in enumerate(words) if word in LASER} if row is not None else {}
-    left = [name for at, name in enumerate(names) if at not in (stamp, *pose, *readings, *laser.values())]
+    readings, said = _readings(names, {stamp, *pose}), _said(words, np.array(units), row)
+    used = {stamp, *pose, *readings, *map(words.index, said)}
+    left = [name for at, name in enumerate(names) if at not in used]
     notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
-    said = {word: float(row[at] * units[at]) for word, at in laser.items()} if row is not None else {}
     geometry = _geometry([names[at] for at in readings], view_deg, said)
     return Columns(stamp, pose, readings, np.array(units), geometry)
+
+
+def _said(words: tuple[str, ...], units: Array, row: Array | None) -> dict[str, float]:
+    """The columns about the laser with their numbers, rad and m, in a row (k,) of all columns."""
+    if row is None or len(row) != len(words):
+        return {}
+    found = {word: float(row[at] * units[at]) for at, word in enumerate(words) if word in LASER}
+    return {word: number for word, number in found.items() if math.isfinite(number)}
 
 
 def _stamp_and_pose(words: tuple[str, ...]) -> tuple[int | None, tuple[int, ...]]:
