@@ -8,8 +8,8 @@ The first line trains PPO on `First-v0` for five minutes on two cores, and write
 
     python agents/train_first.py --seeds 0 1 2
     python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000 \
-      --max-steps 600 --pace 0.8 --seeds 0 1 2 --evaluate-every 100000 --metric coverage_over_steps --out runs/medium
-    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 --pace 0.8 \
+      --max-steps 600 --pace 0.9 --seeds 0 1 2 --evaluate-every 100000 --metric coverage_over_steps --out runs/medium
+    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 --pace 0.9 \
       --evaluate-every 300000 --buildings 20 --metric correct_coverage_over_steps --out runs/halls
 """
 
@@ -59,8 +59,8 @@ SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: f
     "maskable_ppo": {
         "n_steps": 8,
         "batch_size": 64,
-        "n_epochs": 4,
-        "gamma": 0.8,
+        "n_epochs": 12,
+        "gamma": 0.9,
         "gae_lambda": 0.9,
         "clip_range": 0.3,
         "policy_kwargs": {"net_arch": [64]},
