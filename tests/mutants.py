@@ -33,7 +33,7 @@ import pytest
 ROOT = Path(__file__).parent.parent
 PLACE = ROOT / "runs/mutants"
 ESTIMATOR, TESTS = Path("mecp_env/slam"), Path("tests/slam")
-BESIDE = tuple(f"{TESTS}/test_{name}.py" for name in ("checks", "export", "carriers", "map_file", "own_stream"))
+BESIDE = *sorted(str(path.relative_to(ROOT)) for path in (ROOT / TESTS).glob("test_*.py")), f"{TESTS}/localisation"
 WHOLE = (
     "every_noise_gives_a_right_map",
     "each_landmark_is_a_corner_of_its_own",

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from mecp_env.core.se2 import between
 from mecp_env.evaluation.trajectory import trajectory_error
 from mecp_env.logs import Log, ReadOptions, read_log
 from mecp_env.logs.laser_check import laser_fault
 from mecp_env.logs.lasers import no_return_of
-from mecp_env.logs.registration import registered
+from mecp_env.logs.registration import registered, registered_path
 from tests.logs.files import write_archive
 from tests.logs.simulated import write_simulated
 
@@ -79,4 +81,9 @@ def test_a_sound_laser_has_no_fault_and_its_scans_give_odometry(path: Path) -> N
     log = read_log(path, ReadOptions(use_odometry=False))
     assert log.T_odom_robot is None
     made = registered(log)
+    blind = replace(
+        log, t=np.array([5.0, 5.5, 7.0]), ranges=np.stack((log.ranges[9], log.ranges[12], 0.0 * log.ranges[0] + np.nan))
+    )
+    first, moved, guessed = registered_path(blind)
+    assert between(moved, guessed) == pytest.approx(3.0 * between(first, moved))
     assert trajectory_error(made.T_odom_robot, made.T_ref_robot).rmse_m < 0.1

@@ -41,11 +41,12 @@ def test_neighbours_have_different_colours() -> None:
             assert a.colour not in {b.colour for b in near}
 
 
-def test_a_name_in_a_narrow_turned_room_is_written_along_it() -> None:
-    spec = GeneratorSpec.preset("medium", turned_deg=(40.0, 40.0), corridor_width_m=(1.6, 1.6))
-    corridor = next(room for room in floor_plan(generate(spec, 1)).rooms if room.name == "corridor 1")
-    assert corridor.label_turn_deg == pytest.approx(40.0, abs=0.01) or corridor.label_turn_deg == pytest.approx(-50.0)
-    assert corridor.label_height_m > 0.5
+@pytest.mark.parametrize("turned_deg", [40.0, 130.0])
+def test_names_in_narrow_turned_rooms_are_written_along_their_sides_and_never_upside_down(turned_deg: float) -> None:
+    spec = GeneratorSpec.preset("medium", turned_deg=(turned_deg, turned_deg), corridor_width_m=(1.6, 1.6))
+    rooms = floor_plan(generate(spec, 5)).rooms
+    assert {round(room.label_turn_deg, 2) for room in rooms} == {0.0, 40.0, -50.0}
+    assert next(room for room in rooms if room.name == "corridor 1").label_height_m > 0.5
 
 
 def test_the_picture_shows_walls_floors_doors_furniture_and_starts(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association.cliques import Headings
+from mecp_env.slam.association.mecp import OPEN, PolygonTest
 from mecp_env.slam.frontend.line_ends import EndBearing
 from mecp_env.slam.frontend.line_intersections import RolledScan
 from mecp_env.slam.grid.canvas import NOTHING
@@ -34,6 +35,7 @@ from mecp_env.slam.messages import (
     Match,
     MergedScan,
     Polygon,
+    PolygonGroup,
     RoomGraph,
     Segments,
     SemanticGrid,
@@ -211,9 +213,16 @@ def graph(current: int = 0, rooms: Any = (0,), **fields: Any) -> RoomGraph:
     return RoomGraph(current=current, rooms=rooms, **given)
 
 
-def view(belief: Belief, features: FeatureTable, corners: Corners, graph: RoomGraph) -> MapView:
-    """A map without polygons."""
-    return MapView(1, belief, features, {}, graph, np.full(len(corners), -1))
+def view(belief: Belief, features: FeatureTable, corners: Corners, graph: RoomGraph, polygons: Any = ((),)) -> MapView:
+    """A map with polygons (C,k) of these ids; by default without any."""
+    ids = np.array(polygons, np.int64)
+    groups = {ids.shape[1]: PolygonGroup(np.arange(len(ids)), ids)} if ids.size else {}
+    return MapView(1, belief, features, groups, graph, np.full(len(corners), -1))
+
+
+def polygon_test(gate: float = OPEN) -> PolygonTest:
+    """A joint test, and this gate of each vertex and of the centre."""
+    return PolygonTest(gate, gate, iterate=True)
 
 
 def grid(

@@ -90,10 +90,8 @@ def candidate_pairs(costs: Array, gate: float, budget: int) -> tuple[Ints, Ints]
     """
     inside = costs <= gate
     rows, columns = np.nonzero(inside)
-    most = math.isqrt(2 * budget)
-    if len(rows) > most:
-        cheapest = np.argsort(costs[rows, columns], kind="stable")[:most]
-        rows, columns = rows[cheapest], columns[cheapest]
+    cheapest = np.sort(np.argsort(costs[rows, columns], kind="stable")[: math.isqrt(2 * budget)])
+    rows, columns = rows[cheapest], columns[cheapest]
     order = np.lexsort((rows, inside.sum(axis=1)[rows]))
     return rows[order], columns[order]
 

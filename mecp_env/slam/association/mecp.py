@@ -70,23 +70,20 @@ def map_polygons_of(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
 
 @compiled
 def polygon_hypotheses(
-    nis: Array, corners: Ints, landmarks: Ints, features: Rows, ids: Ints, gate: float, found: Ints, which: Ints
+    nis: Array, corners: Ints, landmarks: Ints, features: int, ids: Ints, gate: float, found: Ints, which: Ints
 ) -> int:
     """Write the map polygons (h,k), turned so that every vertex passes its own gate, and which (h,) they are.
 
     `nis` (n,N) of corners against `landmarks` (N,); `corners` (k,) are the vertices of the scan's polygon, `ids` (C,k)
-    those of the map's polygons, both ccw, among `features` (F,) FEATURE. A polygon of landmarks alone counts. Returns
-    h; `found` and `which` have room for one more.
+    those of the map's polygons, both ccw, of so many `features`. A polygon of landmarks alone counts. Returns h;
+    `found` and `which` have room for one more.
     """
     count, k = ids.shape
-    row, h = np.full(features.shape[0], -1), 0
+    row, h = np.full(features, -1), 0
     for j in range(landmarks.shape[0]):
         row[landmarks[j]] = j
     for c in range(count):
-        whole = True
-        for v in range(k):
-            whole &= features[ids[c, v]].state == FeatureState.LANDMARK
-        for shift in range(k if whole else 0):
+        for shift in range(k):
             v, passed = 0, True
             while v < k and passed:
                 found[h, v] = ids[c, v + shift - (k if v + shift >= k else 0)]
@@ -141,7 +138,7 @@ class PolygonMatcher:
         """Ids (h,k) of map polygons as `polygon_hypotheses` writes them, and which of `group` (h,) they are."""
         view, (count, k) = self.view, group.ids.shape
         ids, which = np.empty((count * k + 1, k), np.int64), np.empty(count * k + 1, np.int64)
-        landmarks, features = view.belief.ids, view.features.rows
+        landmarks, features = view.belief.ids, len(view.features)
         h = polygon_hypotheses(self.nis, polygon.corners, landmarks, features, group.ids, gate, ids, which)
         return ids[:h], which[:h]
 

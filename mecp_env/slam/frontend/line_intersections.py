@@ -82,7 +82,7 @@ def add_intersection(
         along = y * math.cos(alpha) - x * math.sin(alpha)
         spacing = rho * scan.step / math.cos(bearing) ** 2
         gap = abs(along - rho * math.tan(bearing)) - noise.edge * spacing
-        far = gap if slot == 0 else max(far, gap)
+        far = max(far, gap)
         found.normals[slot] = wrap_angle(alpha + math.pi)
     if variance > limits.max_sigma_m**2 or far > limits.line_m + noise.gate * math.sqrt(variance):
         return False

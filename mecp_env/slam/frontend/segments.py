@@ -175,7 +175,7 @@ def write_segment(
     freedom, whole = max(span[1] - span[0] - 2 * trim - 1, 1), span[1] - span[0] - 1
     excess = cost / (freedom + noise.gate * math.sqrt(2.0 * freedom))
     fits = max(excess, whole_cost / (whole + noise.outlier * math.sqrt(2.0 * whole))) <= 1.0
-    usable = aa <= limits.max_alpha_sigma_rad**2 and rho > 0.0 and (fits or freedom >= limits.long_beams)
+    usable = aa <= limits.max_alpha_sigma_rad**2 and (fits or freedom >= limits.long_beams)
     for end in range(2):
         bearing = bearings[span[end]]
         cosine = math.cos(bearing - alpha)

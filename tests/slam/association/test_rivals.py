@@ -11,6 +11,7 @@ import pytest
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.association.cliques import (
     ANY_HEADING,
+    candidate_pairs,
     cartesian,
     constraint_graph,
     jointly_compatible,
@@ -162,6 +163,16 @@ def test_a_clique_of_fewer_than_the_least_pairs_does_not_count():
     assert len(maximum_clique(*graph, len(found) + 1, MANY)[0]) == 0
 
 
+def test_of_more_pairs_than_a_search_can_compare_the_cheapest_are_candidates():
+    costs = np.array([[1.0, 9.0, 2.0], [3.0, 4.0, 99.0], [5.0, 99.0, 99.0]])
+    for budget, pairs in (
+        (MANY, [(2, 0), (1, 0), (1, 1), (0, 0), (0, 1), (0, 2)]),
+        (8, [(1, 0), (1, 1), (0, 0), (0, 2)]),
+    ):
+        rows, columns = candidate_pairs(costs, 10.0, budget)
+        assert list(zip(rows.tolist(), columns.tolist(), strict=True)) == pairs
+
+
 def agreeing(scan, of_map, pairs, known=ANY_HEADING, turned=0.0):
     """Which pairs (corner, landmark) of points agree, by `constraint_graph`; all faces look alike, but are turned."""
     cov, (corner, landmark) = 1e-4 * np.eye(2), np.array(pairs).T
@@ -268,8 +279,9 @@ def test_of_two_equal_places_none_is_chosen() -> None:
     match = moved(scene, (4.5, 0.0, 0.0), (4.0, 4.0, 0.2)).associated(method="mecp")
     assert len(match.recognised()) == 0
     assert (match.decision == Decision.IGNORED).all()
-    match = moved(scene, (-1.0, 0.0, 0.0), (0.7, 0.7, 0.2)).associated(method="mecp")
-    assert match.ids.tolist() == scene.true.tolist()
+    for x, sigma_m in ((-1.0, 0.7), (2.0, 2.0)):  # the other is too far off, or less likely
+        match = moved(scene, (x, 0.0, 0.0), (sigma_m, sigma_m, 0.2)).associated(method="mecp")
+        assert match.ids.tolist() == scene.true.tolist()
 
 
 def test_one_corner_is_paired_unless_another_landmark_is_as_near() -> None:

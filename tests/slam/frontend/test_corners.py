@@ -237,6 +237,12 @@ def niche(width, depth):
     )
 
 
+def block(x, y):
+    """The three sides in view of what is between y and 2 m aside, 0.2 to 0.6 m deep."""
+    far = math.copysign(2.0, y)
+    return chain((x, far), (x, y), (x + 0.4, y), (x + 0.4, far))
+
+
 NO_DOORS = {
     "niche": (PAPER, niche(0.9, 0.2)),
     "deep niche": (PAPER, niche(0.9, 0.5)),
@@ -244,6 +250,11 @@ NO_DOORS = {
     "corridor": (PAPER, niche(0.9, 6.0)),
     "corridor aside": (PAPER, niche(1.6, 6.0) - [0.0, 1.0]),  # seen in a plan: rooms were split at its start
     "different depths": (PAPER, np.concatenate([chain((2, -2), (2, -0.45)), chain((2.6, 0.45), (2.6, 2.5)), FAR_ROOM])),
+    "aisle": (  # narrow, and seen to go on as wide behind what crosses it
+        LMS200,
+        np.concatenate([solid for y in (0.45, -0.45) for x in (1.2, 1.8) for solid in [block(x, y)]] + [FAR_ROOM]),
+    ),
+    "door too wide and too far off to see the floor get wider": (PAPER, with_door(1.6, x=6.0)),
     "beside something deep": (
         LMS200,
         np.concatenate([chain((-2, -2), (2, -2), (2, -0.45), (3.2, -0.45), (3.2, -2), (5, -2)), THIN]),

@@ -9,9 +9,9 @@ import pytest
 
 from mecp_env.slam.config import SegmentConfig, SensorModel, SlamConfig
 from mecp_env.slam.frontend.beams import laser_noise, roll_beams
-from mecp_env.slam.frontend.lines import beam_points, line_cost, split_cluster
+from mecp_env.slam.frontend.lines import beam_points, line_cost, split_cluster, without_end_face
 from mecp_env.slam.frontend.segments import circle_cost
-from tests.slam.scans import LMS200, PAPER, ROOM, chain, front_end, ring, take_scan
+from tests.slam.scans import LMS200, PAPER, ROOM, cast, chain, front_end, ring, take_scan
 
 CIRCLE = SegmentConfig().pillar_radius_m, SensorModel().outlier_sigmas
 
@@ -162,6 +162,22 @@ def test_the_papers_segments_know_no_pillars():
     scan = take_scan(pillar, PAPER, sweeps=1)
     assert not len(front_end(scan, PAPER)[2].line)
     assert len(front_end(scan, PAPER, SlamConfig(segments=SlamConfig.paper().segments))[2].line)
+
+
+@pytest.mark.parametrize(
+    ("faces", "wall"),
+    [
+        (chain((0.3, 3.0), (0.3, 1.0), (0.36, 1.0)), (6, 27)),
+        (chain((0.3, -3.0), (0.3, -1.0), (0.36, -1.0)), (0, 21)),
+        (chain((1.0, -1.0), (1.0, 1.0), (0.9, 1.0)), (0, 186)),  # in front of the wall no end face is seen
+    ],
+)
+def test_an_end_face_is_taken_off_a_wall_at_its_near_end(faces, wall):
+    bearings = np.radians(np.arange(-179.0, 180.0, 0.5))
+    ranges = cast(faces, bearings)
+    seen = np.isfinite(ranges)
+    points, sums = beam_points(np.stack([ranges[seen], bearings[seen], np.ones(seen.sum())]), noise_of(0.02, 0.0))
+    assert without_end_face(points, sums, 0, seen.sum() - 1, SegmentConfig().record[0], noise_of(0.02, 0.0)) == wall
 
 
 def test_a_ring_of_points_has_no_chord_and_is_broken_all_the_same():

@@ -319,6 +319,8 @@ def test_a_robot_carried_to_the_other_room_is_noticed_and_found(mapped):
     assert not all(output.localised for output in trace)
     assert trace[-1].localised
     assert off(trace[-1].belief.T_map_robot, in_map(drive, drive.T_world_robot[step + 14])) < (0.1, 0.05)
+    last = max(k for k, output in enumerate(trace) if not output.localised)
+    assert trace[last + 1].graph.current != trace[0].graph.current  # in the room that it is found in
     searching = [output for output in trace if not output.localised]
     assert all((output.match.decision != 0).all() for output in searching)
     assert len({output.grid.version for output in searching}) == 1

@@ -68,6 +68,17 @@ def in_upper_room(table=None):
     return keeper
 
 
+def test_a_robot_that_was_lost_is_in_the_room_of_most_of_the_landmarks_it_is_found_by():
+    keeper, table = keeper_with_door(), features()
+    keeper.merged, keeper.in_doorway = {3: 1}, True
+    table.rows["room"] = [2, 2, 1, 3, 1, -1, -1, -1, -1, 0]
+    keeper.arrive_at(np.array([5, 6]), table)
+    assert keeper.current == 0  # nobody knows where they are
+    keeper.arrive_at(np.arange(9), table)
+    assert keeper.current == 1
+    assert not keeper.in_doorway
+
+
 def walk(keeper, ys, x=0.0, table=None):
     rooms = []
     for y in ys:
