@@ -9,8 +9,8 @@ The first line trains PPO on `First-v0` for five minutes on two cores, and write
     python agents/train_first.py --seeds 0 1 2
     python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000 \
       --max-steps 600 --pace 0.9 --seeds 0 1 2 --evaluate-every 100000 --metric coverage_over_steps --out runs/medium
-    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 --pace 0.9 \
-      --evaluate-every 300000 --buildings 20 --metric correct_coverage_over_steps --out runs/halls
+    python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 --pace 0.8 \
+      --gamma 0.8 --epochs 4 --seeds 0 1 2 --evaluate-every 300000 --metric correct_coverage_over_steps --out runs/halls
 """
 
 from __future__ import annotations
@@ -88,6 +88,8 @@ class Args:
     buildings: int = 20  # of the validation split, in an evaluation
     max_steps: int = 0  # of an episode; 0: those of the environment
     pace: float = 0.0  # weight of this term of the reward (docs/rewards.md)
+    gamma: float = 0.0  # discount per decision; 0: that of the algorithm
+    epochs: int = 0  # passes over a batch; 0: those of the algorithm
     metric: str = "coverage"  # of the curve, or coverage_over_steps, correct_coverage_over_steps
     out: Path = Path("runs/first")
 
@@ -99,6 +101,12 @@ class Args:
         limit = {"max_steps": self.max_steps} if self.max_steps else {}
         reward = {"reward": {"pace": self.pace}} if self.pace else {}
         return {"observation": "flat", "start": "random", **actions, **buildings, **limit, **reward}
+
+    @property
+    def settings(self) -> dict[str, Any]:
+        """Those of the algorithm that are given here."""
+        given = {"gamma": self.gamma, "n_epochs": self.epochs}
+        return {name: value for name, value in given.items() if value}
 
 
 class Curve(BaseCallback):
@@ -162,7 +170,7 @@ def explore(env: gym.Env[Any, Any], model: Any, building: int) -> list[float]:
 def train(args: Args, seed: int, folder: Path) -> None:
     """Train a seed; write model and curve. The learning rate falls to 0."""
     folder.mkdir(parents=True, exist_ok=True)
-    settings, rate = SETTINGS[args.algorithm], RATES[args.algorithm]
+    settings, rate = SETTINGS[args.algorithm] | args.settings, RATES[args.algorithm]
     venv = VecMonitor(sb3_batch.make(args.env, args.environments, **args.options))
     venv = VecNormalize(venv, norm_obs=False, gamma=settings["gamma"])
     algorithm = MaskablePPO if args.algorithm == "maskable_ppo" else PPO
