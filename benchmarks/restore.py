@@ -13,6 +13,7 @@ with what makes it again.
 from __future__ import annotations
 
 import tempfile
+import warnings
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +26,7 @@ from benchmarks.common import Figures, Gate, Options, in_parallel
 from benchmarks.restore_logs import same
 from benchmarks.tables import table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
+from mecp_env.core.errors import PlanWarning
 from mecp_env.core.snapshot import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
@@ -112,7 +114,8 @@ def failure_of(unit: tuple[int]) -> str:
     name, fields = setting_of(rng)
     steps, lost = int(rng.integers(0, 100)), bool(rng.random() < 0.2)
     try:
-        env, other = (gym.make(name, disable_env_checker=True, **fields) for _ in range(2))
+        with warnings.catch_warnings(action="ignore", category=PlanWarning):
+            env, other = (gym.make(name, disable_env_checker=True, **fields) for _ in range(2))
         fault = fault_of(env, other, rng, steps, lost)
     except Exception as error:  # any error is a finding
         fault = f"{type(error).__name__}: {error}"
