@@ -9,7 +9,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
+from itertools import chain, islice
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +28,8 @@ PREFIXES = {"odom", "odometry", "pose", "pos", "position", "robot", "field", "he
 UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
 UNITS |= {"s": 1.0, "sec": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
-MOST_ASKED, FARTHEST_CM = 1000, 800.0  # sweeps; half of the readings of a room are nearer
+HEAD, MOST_ASKED = 10, 1000  # rows that may tell where lists are, and sweeps the unit of their readings
+FARTHEST_CM = 800.0  # half of the readings of a room are nearer
 LIST, JOIN = re.compile(r"[\[(]([^\[\]()]*)[\])]"), "\x1f"
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 LONGEST_LINE = 2**20
@@ -87,10 +88,11 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
     """All rows behind the names."""
     rows = _rows(data)
     _, names = next(rows, (0, []))
-    first = next(rows, (0, []))
-    names = _one_each(names, first[1])
-    columns = _columns(names, _numbers(_flat(first[1])), view_deg, recording.notes)
-    for number, cells in chain([first] * bool(first[1]), rows):
+    head = list(islice(rows, HEAD))
+    sample = next((cells for _, cells in head if len(cells) == len(names)), [])  # the first may be damaged
+    names = _one_each(names, sample)
+    columns = _columns(names, _numbers(_flat(sample)), view_deg, recording.notes)
+    for number, cells in chain(head, rows):
         words = _flat(cells)
         row = _numbers(words)
         if row is None or len(row) != len(names):
@@ -163,7 +165,7 @@ def _numbers(words: list[str]) -> Array | None:
 
 
 def _columns(names: list[str], row: Array | None, view_deg: float | None, notes: list[str]) -> Columns:
-    """Where a table with these names has what, and its first `row` (k,) what of the laser is said there.
+    """Where a table with these names has what; what it says of the laser is taken from a `row` (k,) of it.
 
     A note lists the columns that are not read. Raises `LogError`.
     """

@@ -167,11 +167,9 @@ def test_a_list_in_a_cell_and_what_messages_say_of_the_laser(tmp_path: Path) -> 
         log = read_log(path)
         np.testing.assert_allclose(log.ranges, ranges, atol=1e-6)
         np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-4)
-    lines = (tmp_path / "b.csv").read_text().splitlines()
-    lines[1] = "1,2"  # the first row is damaged: nothing is said of the laser
-    (tmp_path / "b.csv").write_text("\n".join(lines))
-    with pytest.raises(LogError, match="--field-of-view-deg"):
-        read_log(tmp_path / "b.csv")
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([lines[0], "1,2", *lines[1:]]))  # a first row that is damaged
+        assert (len(read_log(path)), read_log(path).counts["damaged rows"]) == (len(log), 1)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("mm", 1000.0), ("cm", 100.0)])
