@@ -22,7 +22,7 @@ from benchmarks import loop, noise
 from benchmarks.common import Figures, Gate, Options, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.tables import page, table
+from benchmarks.tables import flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import estimate
@@ -134,22 +134,22 @@ def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:
 
 def report(figures: Figures) -> str:
     """The variants that make a difference, and the names of those that change nothing."""
+    flat = {name: flatten(cells) for name, cells in figures.items()}
     rows = [
-        [f"`{name}`", cell, key, figure]
-        for name, cells in figures.items()
-        for cell, keys in cells.items()
-        for key, figure in keys.items()
+        [f"`{name}`", *path.split("/"), figure]
+        for name, of in flat.items()
+        for path, figure in of.items()
         if figure["n"] > 1 and (figure["low"] > 0.0 or figure["high"] < 0.0)
     ]
-    same = [
-        name for name, cells in figures.items() if all(is_zero(f) for keys in cells.values() for f in keys.values())
+    same = [f"`{name}`" for name, of in flat.items() if all(map(is_zero, of.values()))]
+    quiet = sorted({f"`{name}`" for name in flat} - {row[0] for row in rows} - set(same))
+    parts = [
+        f"{len(figures)} variants.",
+        table(["variant", "cell", "figure", "minus default"], rows),
+        f"No difference outside of its interval ({len(quiet)}): {', '.join(quiet) or '-'}.",
+        f"Same bits ({len(same)}): {', '.join(same) or '-'}.",
     ]
-    quiet = sorted({f"`{name}`" for name in figures} - {row[0] for row in rows} - {f"`{name}`" for name in same})
-    parts = [f"{len(figures)} variants."]
-    parts.append(table(["variant", "cell", "figure", "minus default"], rows))
-    parts.append(f"No difference outside of its interval ({len(quiet)}): {', '.join(quiet) or '-'}.")
-    parts.append(f"Same bits ({len(same)}): {', '.join(f'`{name}`' for name in same) or '-'}.")
-    return page(__doc__, *parts)
+    return "\n\n".join(parts)
 
 
 def is_zero(figure: Figures) -> bool:

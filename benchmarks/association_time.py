@@ -26,7 +26,7 @@ from benchmarks.common import Figures, Gate, Options, best_of, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from benchmarks.variants import DEFAULT, RIVALS
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.intervals import ratio
@@ -191,9 +191,9 @@ def figures_of(drives: list[dict[str, dict[str, list[float]]]], sigma: str, name
 def report(figures: Figures) -> str:
     """Per set a table with a row for each sigma and associator."""
     columns = ["ms", "ratio", "ratio_with_polygons", "ratio_same_corners", "right", "wrong", "polygon", "budget_spent"]
-    parts = []
+    parts = {}
     for layout, cells in figures.items():
         scans = next(iter(cells.values()))[DEFAULT]["scans"]
         rows = [[sigma, name, *(row[c] for c in columns)] for sigma, of in cells.items() for name, row in of.items()]
-        parts.append(f"## {layout} ({scans} scans per row)\n\n{table(['pose', 'associator', *columns], rows)}")
-    return page(__doc__, *parts)
+        parts[f"{layout} ({scans} scans per row)"] = table(["pose", "associator", *columns], rows)
+    return sections(parts)

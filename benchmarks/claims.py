@@ -23,7 +23,7 @@ from benchmarks.features import key_of
 from benchmarks.loop import figures_of, named
 from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
 from benchmarks.records import Records
-from benchmarks.tables import flatten, page, readable, table
+from benchmarks.tables import flatten, readable, table
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.world.layout import shipped_layouts
 
@@ -343,4 +343,4 @@ def report(figures: Figures) -> str:
         )
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
     every = table(["figure", "value [95 % interval]"], flat.items())
-    return page(__doc__, table(header, rows), "## All figures", every)
+    return f"{table(header, rows)}\n\n## All figures\n\n{every}"

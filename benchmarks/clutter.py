@@ -26,7 +26,7 @@ from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import replay
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from benchmarks.variants import associators, with_change
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
@@ -155,15 +155,15 @@ def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, p
 
 def report(figures: Figures) -> str:
     """Per layout a table of each metric, with a row per associator and a column per cell."""
-    parts = []
+    parts = {}
     for layout, cells in figures.items():
-        methods = next(iter(cells.values()))
-        parts.append(f"## {layout} ({methods['mecp']['rmse_m']['n']} drives)")
+        methods, tables = next(iter(cells.values())), []
         for metric in METRICS:
             rows = [[name, *(cells[cell][name][metric] for cell in cells)] for name in methods]
             columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
-            parts.append(table([f"`{metric}`: detection, spurious", *columns], rows))
-    return page(__doc__, *parts)
+            tables.append(table([f"`{metric}`: detection, spurious", *columns], rows))
+        parts[f"{layout} ({methods['mecp']['rmse_m']['n']} drives)"] = "\n\n".join(tables)
+    return sections(parts)
 
 
 def figure(figures: Figures) -> Figure:

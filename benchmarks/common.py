@@ -1,7 +1,7 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It may have `GATES`, the figures that must not get worse, `report(figures) -> str`, tables in Markdown,
+It has `GATES`, the figures that must not get worse. It may have `report(figures) -> str`, tables in Markdown,
 `figure(figures)`, a figure of matplotlib that is saved as PNG beside them, `pictures(options)`, figures by name that
 are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[str]`, what exceeds its bound.
 """
@@ -48,7 +48,6 @@ class Options:
     sets: tuple[str, ...] = ()  # a subset, for benchmarks with sets
     modules: tuple[str, ...] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
-    sweeps: tuple[int, ...] = (1, 4)  # per scan, in that comparison
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
     records: Path | None = None  # folder of the drives that are replayed; None: they are driven again each time
@@ -234,15 +233,23 @@ def result(name: str, figures: Figures, calibration: float) -> Figures:
     }
 
 
-def markdown(content: Figures, report: str | None) -> str:
-    """The Markdown page of a result: its origin, then the report or all figures in one table."""
-    where = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
-    body = report or table(["figure", "value [95 % interval]"], flatten(content["figures"]).items())
-    return (
-        f"# Benchmark: {content['benchmark']}\n\n"
-        f"{content['date']}, `{content['command']}`; {where}; "
-        f"calibration workload {content['calibration_ms']:.2f} ms.\n\n{body}\n"
-    )
+def page_of(content: Figures, module: Any, picture: str = "") -> str:
+    """The page of a result: its origin, what the benchmark measures, its report or all figures in one table."""
+    machine = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
+    workload = f"calibration workload {content['calibration_ms']:.2f} ms"
+    parts = [
+        f"# Benchmark: {content['benchmark']}",
+        f"{content['date']}, `{content['command']}`; {machine}; {workload}.",
+        (module.__doc__ or "").strip(),
+        getattr(module, "report", all_figures)(content["figures"]),
+        f"![{content['benchmark']}]({picture})" if picture and hasattr(module, "figure") else "",
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def all_figures(figures: Figures) -> str:
+    """One table of all figures."""
+    return table(["figure", "value [95 % interval]"], flatten(figures).items())
 
 
 def save(content: Figures, page: str, path: Path) -> None:

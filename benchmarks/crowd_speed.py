@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.common import Figures
 from benchmarks.drives import drive_at_random, exploration
-from benchmarks.tables import table
+from benchmarks.tables import table_of
 from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
@@ -94,13 +94,9 @@ def building(number: int) -> Layout:
 
 def report(measured: Figures) -> str:
     """One table with one row per setting."""
-    names = ("us", "with_driver_us", "ratio", "with_driver_ratio")
-    rows = [
-        (actions, setting, *(values[name] for name in names))
-        for actions, settings in measured.items()
-        for setting, values in settings.items()
-    ]
-    return table(["actions", "where", "us", "with planner and controller, us", "ratio", "ratio with both"], rows)
+    columns = ("us", "with_driver_us", "ratio", "with_driver_ratio")
+    rows = {f"{actions}, {setting}": of for actions, settings in measured.items() for setting, of in settings.items()}
+    return table_of("actions, where", columns, rows)
 
 
 def random_drive(env: MecpEnv, seed: int) -> None:

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.columns import columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, grouped, in_parallel
-from benchmarks.tables import table
+from benchmarks.tables import sections, turned
 from mecp_env.core.intervals import estimate, share
 from mecp_env.policies.registry import make_policy
 from mecp_env.registration import make
@@ -120,10 +120,9 @@ def summarise(episodes: list[Episode]) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per layout."""
-    parts = [__doc__ or ""]
-    for layout, explorers in figures.items():
-        seeds = next(iter(explorers.values()))["complete"]["n"]
-        names = next(iter(explorers.values()))
-        rows = [(name.replace("_", " "), *(e[name] for e in explorers.values())) for name in names]
-        parts.append(f"## {layout}, {seeds} seeds\n\n{table(['', *explorers], rows)}")
-    return "\n\n".join(parts)
+    return sections(
+        {
+            f"{layout}, {next(iter(explorers.values()))['complete']['n']} seeds": turned(explorers)
+            for layout, explorers in figures.items()
+        }
+    )

@@ -29,7 +29,7 @@ from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table, table_of
+from benchmarks.tables import table, table_of
 from benchmarks.variants import RIVALS, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.intervals import estimate, ratio
@@ -215,4 +215,4 @@ def report(figures: Figures) -> str:
     rows = [[layout, kind, *(cells[kind][c] for c in columns)] for layout, cells in figures.items() for kind in KINDS]
     scores = ["auc", "calibration", "auc_of_all", "calibration_of_all", "false_alarms"]
     confidence = {layout: cells["confidence"] for layout, cells in figures.items()}
-    return page(__doc__, table(["layout", "event", *columns], rows), table_of("layout", scores, confidence))
+    return f"{table(['layout', 'event', *columns], rows)}\n\n{table_of('layout', scores, confidence)}"

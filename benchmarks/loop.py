@@ -32,7 +32,7 @@ from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from benchmarks.variants import (
     CLIPPER,
     DEFAULT,
@@ -81,6 +81,7 @@ HARD, FIRST_BUILDING, MAX_STEPS = "hard", 500, 10_000  # the buildings before ar
 SCANS, FIRST_SCAN = 20, 10  # per drive; the first one
 QUICK_DRIVES, QUICK_SCANS = 2, 4
 RIGHT_PAIRS = 3
+WITHOUT_KISS = "KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing."
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
     "wrong": "Share of pairs that are wrong:",
@@ -256,17 +257,16 @@ def figures_of(drives: list[Figures]) -> Figures:
 
 def report(figures: Figures) -> str:
     """Per set a table of right scans, one of wrong pairs, one of recognised polygons and one of times."""
-    parts = []
-    if not any(name in variants for variants in figures.values() for name in KISS):
-        parts.append("KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing.")
+    parts = {}
     for layout, variants in figures.items():
         first = next(iter(variants[DEFAULT].values()))
-        parts.append(f"## {layout} ({first['right']['n']} drives, {first['scans']} scans per cell)")
-        parts.append(f"`possible`: {first['possible']['value']:.4g} of the scans.")
+        tables = [f"`possible`: {first['possible']['value']:.4g} of the scans."]
         for name, title in TITLES.items():
             rows = [[variant, *(cells[sigma][name] for sigma in cells)] for variant, cells in variants.items()]
-            parts.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
-    return page(__doc__, *parts)
+            tables.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
+        parts[f"{layout} ({first['right']['n']} drives, {first['scans']} scans per cell)"] = "\n\n".join(tables)
+    measured = any(name in variants for variants in figures.values() for name in KISS)
+    return sections(parts) if measured else f"{WITHOUT_KISS}\n\n{sections(parts)}"
 
 
 def figure(figures: Figures) -> Figure:

@@ -24,7 +24,7 @@ from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.tables import page, table_of
+from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
 from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import compose, inverse, to_robot
@@ -147,11 +147,9 @@ TIMED = {FILTERS: step_ms, ASSOCIATORS: association_ms}
 
 def report(figures: Figures) -> str:
     """One table of filters, one of associators."""
-    parts = []
-    for part, rows in figures.items():
-        counts = list(next(iter(rows.values())))
-        parts.append(table_of(f"{part}: ms, landmarks", counts, rows))
-    return page(__doc__, *parts)
+    return "\n\n".join(
+        table_of(f"{part}: ms, landmarks", list(next(iter(rows.values()))), rows) for part, rows in figures.items()
+    )
 
 
 def figure(figures: Figures) -> Figure:

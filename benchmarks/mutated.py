@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks import mutated_files, mutated_keywords
 from benchmarks.common import Figures, Gate, Options, in_parallel
-from benchmarks.tables import table
+from benchmarks.tables import listed, table
 from mecp_env.core.errors import MecpError
 
 PER_KIND, QUICK = 92, 2  # 2,024 in all
@@ -147,8 +147,7 @@ def report(figures: Figures) -> str:
     """The counts by kind, and every fault."""
     rows = [(name, *_cells(row)) for name, row in (*figures["kinds"].items(), ("all", figures["all"]))]
     head = ["kind", "inputs", "typed errors", "right results", "faults", "slowest, s", "most memory, MB"]
-    found = "\n".join(f"- {text}" for text in faults(figures)) or "No faults."
-    return "\n\n".join([(__doc__ or "").strip(), table(head, rows), found])
+    return f"{table(head, rows)}\n\n{listed(faults(figures), 'No faults.')}"
 
 
 def _cells(row: Figures) -> tuple[Any, ...]:

@@ -18,7 +18,7 @@ from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.structures import CountingAssociator
-from benchmarks.tables import page, table_of
+from benchmarks.tables import sections, table_of
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import AssociationConfig, SlamConfig
@@ -87,5 +87,6 @@ def summary(runs: list[Figures]) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per reading."""
-    titles = {layout: f"## {layout} ({of[DEFAULT]['precision']['n']} drives)" for layout, of in figures.items()}
-    return page(__doc__, *(f"{titles[layout]}\n\n{table_of('', COLUMNS, of)}" for layout, of in figures.items()))
+    return sections(
+        {f"{name} ({of[DEFAULT]['precision']['n']} drives)": table_of("", COLUMNS, of) for name, of in figures.items()}
+    )

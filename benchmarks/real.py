@@ -36,7 +36,7 @@ from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
 from benchmarks.real_maps import MapData, small_multiples
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import table, table_of
+from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
 from mecp_env.core.intervals import estimate, ratio, share
@@ -239,23 +239,16 @@ SUMMARIES: dict[str, Any] = {
 
 def report(figures: Figures) -> str:
     """A table for the plans, the explorations, the logs and the lasers."""
-    parts = [__doc__ or "", *(f"Skipped: {name}, {why}." for name, why in figures.get("skipped", {}).items())]
-    if PLANS in figures:
-        rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
-        parts.append(f"## Rooms of the imported KTH floors\n\n{rooms}")
+    skipped = [f"{name}, {why}" for name, why in figures.get("skipped", {}).items()]
     logs = {name: figures[name] for name in LOGS if name in figures}
     lasers = {name: figures[name] for name in URG if name in figures}
     tables = {"Explorations": figures.get(EXPLORED, {}), "Logs": logs, "URG-04LX, breadth first": lasers}
     tables["View of 180 degrees on paper"] = {name: figures[name] for name in (VIEW,) if name in figures}
-    parts += [f"## {title}\n\n{columns(of)}" for title, of in tables.items() if of]
-    return "\n\n".join(parts)
-
-
-def columns(settings: Mapping[str, Figures]) -> str:
-    """A table with a row for each figure and a column for each setting."""
-    names = dict.fromkeys(name for of in settings.values() for name in of)
-    rows = [(name.replace("_", " "), *(of.get(name, "") for of in settings.values())) for name in names]
-    return table(["", *(short(name) for name in settings)], rows)
+    parts = {title: turned(of, [short(name) for name in of]) for title, of in tables.items() if of}
+    if PLANS in figures:
+        rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
+        parts = {"Rooms of the imported KTH floors": rooms, **parts}
+    return "\n\n".join([*(f"Skipped: {text}." for text in skipped), sections(parts)])
 
 
 def short(name: str) -> str:

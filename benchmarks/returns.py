@@ -157,7 +157,7 @@ def report(figures: Figures) -> str:
     names = list(dict.fromkeys(policy for task in tasks.values() for policy in task["policies"]))
     by_policy = [[policy, *(cell(task["policies"].get(policy)) for task in tasks.values())] for policy in names]
     returns = table(["return / metric", *tasks], by_policy)
-    return f"{__doc__}\n{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
+    return f"{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
 
 
 def cell(found: Mapping[str, Any] | None) -> str:

@@ -23,7 +23,7 @@ import numpy as np
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, show_progress
 from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
-from benchmarks.tables import table
+from benchmarks.tables import listed, turned
 from benchmarks.vector import HELD
 from mecp_env.core.intervals import ratio
 
@@ -200,7 +200,4 @@ def _faults(values: Figures) -> list[str]:
 
 def report(figures: Figures) -> str:
     """One column per set."""
-    names = next(iter(figures.values()))
-    rows = [(name.replace("_", " "), *(values[name] for values in figures.values())) for name in names]
-    verdict = "\n".join(f"- {fault}" for fault in faults(figures)) or "All within their bounds."
-    return "\n\n".join([(__doc__ or "").strip(), table(["", *figures], rows), verdict])
+    return f"{turned(figures)}\n\n{listed(faults(figures), 'All within their bounds.')}"

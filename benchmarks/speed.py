@@ -18,8 +18,8 @@ from benchmarks import crowd_speed, peers, polygon_speed
 from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import drive_at_random, exploration
 from benchmarks.polygon_speed import SITES
-from benchmarks.tables import table
-from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
+from benchmarks.tables import sections, table, table_of
+from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig
@@ -149,29 +149,26 @@ def _once(call: Callable[[Any], object], item: Any) -> float:
 
 def report(figures: Figures) -> str:
     """Tables: steps per second, time per stage, rays, polygons."""
-    settings = [(k, actions, values) for k, both in figures["env"].items() for actions, values in both.items()]
-    speeds = [(k, actions, v["steps_per_s"], v["with_driver_per_s"]) for k, actions, v in settings]
-    names = [*STAGE_NAMES, "rest", "step", "drive"]
-    stages = [(name, *(round(v["us"][name], 1) for _, _, v in settings)) for name in names]
-    kernel, scans = figures["polygon"]["kernel"], figures["polygon"]["scans"]
-    sites = [(n, *(round(kernel[kind][f"n={n}"], 1) for kind in ("uniform", "convex"))) for n in SITES]
-    layouts = [(name, values["sites"], round(values["stage_us"], 1)) for name, values in scans.items()]
-    return "\n\n".join(
-        [
-            f"CPU times. {__doc__.splitlines()[0] if __doc__ else ''}",
-            "## Steps per second (layout `paper`, 720 beams, one core)",
-            table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
-            "## Time per stage, us",
-            table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
-            "## MiniGrid and ir-sim",
-            peers.report(figures["peers"]),
-            f"## A larger building, and pedestrians\n\n{crowd_speed.__doc__}",
-            crowd_speed.report(figures["crowd"]),
-            "## 720 rays, us (median over poses)",
-            table(["what", "value"], figures["rays"].items()),
-            "## Maximum Empty Convex Polygon, search and wall-crossing check, us (median)",
-            table(["sites", "uniform", "convex position"], sites),
-            "## The polygon stage on scans, edge intervals included (median)",
-            table(["layout", "sites", "us"], layouts),
-        ]
+    settings = {f"{k}, {actions}": of for k, both in figures["env"].items() for actions, of in both.items()}
+    stages = next(iter(settings.values()))["us"]
+    kernel = figures["polygon"]["kernel"]
+    sites = [(n, *(kernel[kind][n] for kind in ("uniform", "convex"))) for n in kernel["uniform"]]
+    return sections(
+        {
+            "Steps per second (layout `paper`, 720 beams, one core)": table_of(
+                "sweeps, actions", ("steps_per_s", "with_driver_per_s"), settings
+            ),
+            "Time per stage, us": table(
+                ["stage", *settings], [(stage, *(of["us"][stage] for of in settings.values())) for stage in stages]
+            ),
+            "MiniGrid and ir-sim": peers.report(figures["peers"]),
+            "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{crowd_speed.report(figures['crowd'])}",
+            "720 rays, us (median over poses)": table(["what", "value"], figures["rays"].items()),
+            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(
+                ["sites", "uniform", "convex position"], sites
+            ),
+            "The polygon stage on scans, edge intervals included (median)": table_of(
+                "layout", ("sites", "stage_us"), figures["polygon"]["scans"]
+            ),
+        }
     )

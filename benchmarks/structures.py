@@ -24,7 +24,7 @@ from benchmarks.drives import Drive, replay
 from benchmarks.loop import HARD, named
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import polar_to_points
@@ -204,17 +204,12 @@ def right(run: Any, variant: str, sigma: tuple[float, float]) -> float:
 
 def report(figures: Figures) -> str:
     """Per layout the tables of both parts."""
-    parts = []
+    parts = {}
+    columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
     for layout, rows in figures["closed"].items():
-        shown = [key for key in next(iter(rows.values())) if key != "drives"]
-        counted = next(iter(rows.values()))["drives"]
-        body = [[key, *(row[key] for row in rows.values())] for key in shown]
-        parts.append(f"## {layout}, closed loop ({counted} drives)\n\n{table(['', *rows], body)}")
-        rough = figures["rough"].get(layout)
-        if rough:
-            columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
-            cells = [
-                [f"{name}: {c}", *(cell[k] for k in columns)] for name, of in rough.items() for c, cell in of.items()
-            ]
-            parts.append(f"## {layout}, rough pose\n\n{table(['structure: associator, sigma', *columns], cells)}")
-    return page(__doc__, *parts)
+        parts[f"{layout}, closed loop"] = turned(rows)
+        rough = figures["rough"].get(layout, {})
+        cells = {f"{name}: {cell}": row for name, of in rough.items() for cell, row in of.items()}
+        if cells:
+            parts[f"{layout}, rough pose"] = table_of("structure: associator, sigma", columns, cells)
+    return sections(parts)

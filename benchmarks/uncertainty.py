@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from benchmarks.columns import columns_of, means
 from benchmarks.common import Figures, Gate, OptionError, Options, chosen, grouped, in_parallel
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from mecp_env.core.intervals import estimate, share
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
@@ -142,16 +142,16 @@ def over(
 def report(figures: Figures) -> str:
     """One table per point with one row per policy."""
     header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
-    parts = [f"Task: `{figures['task']}`."]
+    parts = {}
     for point, policies in figures["points"].items():
         there = {
             name: title for name, title in DIFFERENCES.items() if all(name in found for found in policies.values())
         }
         rows = [[policy, *row_of(found, list(there))] for policy, found in policies.items()]
         count = next(iter(policies.values()))["price"]["n"]
-        title = f"## {title_of(point, figures)}, {count} building{'s' * (count > 1)}"
-        parts.append(f"{title}\n\n{table([*header, *there.values()], rows)}")
-    return page(__doc__, *parts)
+        title = f"{title_of(point, figures)}, {count} building{'s' * (count > 1)}"
+        parts[title] = table([*header, *there.values()], rows)
+    return f"Task: `{figures['task']}`.\n\n{sections(parts)}"
 
 
 def row_of(found: Figures, differences: Sequence[str]) -> list[str]:

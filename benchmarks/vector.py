@@ -27,7 +27,7 @@ from gymnasium.wrappers import FilterObservation
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, in_turns
 from benchmarks.process_use import memory_mb, processor_s
-from benchmarks.tables import table
+from benchmarks.tables import sections, whole_rows
 from mecp_env.core.intervals import estimate
 from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
@@ -234,8 +234,4 @@ def processes(venv: Any) -> list[Any]:
 def report(figures: Figures) -> str:
     """One table per setting with one row per kind."""
     heads = ["kind", "steps per second", "over a single one", "over async", "CPU us per step", "memory MB"]
-    pages = [
-        f"## {setting}\n\n{table(heads, [(kind, *values.values()) for kind, values in kinds.items()])}"
-        for setting, kinds in figures.items()
-    ]
-    return "\n\n".join([__doc__ or "", *pages])
+    return sections({setting: whole_rows(heads, kinds) for setting, kinds in figures.items()})

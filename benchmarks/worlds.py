@@ -24,7 +24,7 @@ import mecp_env
 from benchmarks.columns import columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, shared_data
 from benchmarks.drives import exploration
-from benchmarks.tables import table
+from benchmarks.tables import sections, turned
 from mecp_env.core.intervals import estimate, share
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
@@ -212,17 +212,19 @@ def totals(finals: list[dict[str, float]]) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per preset with one column per setting; the plans last."""
-    presets = dict.fromkeys(SETTINGS[name][0] if name in SETTINGS else name for name in figures)
-    return "\n\n".join([__doc__ or "", *(page(preset, figures) for preset in presets)])
+    presets = dict.fromkeys(preset_of(name) for name in figures)
+    return sections({preset: table_of_preset(preset, figures) for preset in presets})
 
 
-def page(preset: str, figures: Figures) -> str:
+def table_of_preset(preset: str, figures: Figures) -> str:
     """The table of a preset."""
-    mine = {name: values for name, values in figures.items() if SETTINGS.get(name, (name, {}))[0] == preset}
-    names = next(iter(mine.values()))
-    rows = [(name.replace("_", " "), *(setting[name] for setting in mine.values())) for name in names]
-    heads = [f"{title(name)} ({setting['complete']['n']})" for name, setting in mine.items()]
-    return f"## {preset}\n\n{table(['', *heads], rows)}"
+    mine = {name: values for name, values in figures.items() if preset_of(name) == preset}
+    return turned(mine, [f"{title(name)} ({setting['complete']['n']})" for name, setting in mine.items()])
+
+
+def preset_of(setting: str) -> str:
+    """The preset of a setting; the plans are one of their own."""
+    return SETTINGS[setting][0] if setting in SETTINGS else setting
 
 
 def title(setting: str) -> str:
