@@ -37,66 +37,42 @@ from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
 RECORD = "record"  # makes what others replay, and has no figures
-COMPARING = "against"  # what `speed --against` runs
-KINDS = {  # of each benchmark, the options that not all have
-    "ablation": "shard cluster records",
-    "association": "shard cluster records with",
-    "association_time": "shard records",
-    "claims": "shard cluster records",
-    "clutter": "shard cluster records with",
-    "consistency": "shard cluster records with",
-    "explorers": "shard cluster",
-    "features": "shard cluster",
-    "figures": "records",
-    "filters": "shard cluster with",
-    "formats": "",
-    "kidnap": "shard cluster records",
-    "learning": "",
-    "loop": "shard cluster records",
-    "map_size": "shard records with",
-    "mutated": "shard cluster",
-    "noise": "shard cluster records",
-    "paper_mode": "shard cluster records",
-    "real": "shard records",
-    RECORD: "shard cluster records",
-    "replay": "",
-    "restore": "shard cluster",
-    "returns": "shard cluster policies buildings",
-    "scale": "shard",
-    "sensors": "shard cluster records",
-    "soak": "shard",
-    "speed": "against",
-    "start": "against",
-    "stock_ppo": "",
-    "structures": "shard cluster records with",
-    "uncertainty": "shard cluster task policies buildings",
-    "vector": "",
-    "vector_step": "",
-    "victoria_park": "with",
-    "worlds": "shard cluster",
+NAMES = (
+    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
+    *("figures", "filters", "formats", "kidnap", "learning", "loop", "map_size", "mutated", "noise", "paper_mode"),
+    *("real", "replay", "restore", "returns", "scale", "sensors", "soak", "speed", "start", "stock_ppo"),
+    *("structures", "uncertainty", "vector", "vector_step", "victoria_park", "worlds"),
+)
+HERE_ONLY = ("association_time", "map_size", "real", "scale", "soak")  # times, memory, maps: none runs on a cluster
+IN_UNITS = (  # of work, kept and divided
+    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
+    *("filters", "kidnap", "loop", "map_size", "mutated", "noise", "paper_mode", "real", "restore", "returns", "scale"),
+    *("sensors", "soak", "structures", "uncertainty", "worlds"),
+)
+ON_RECORDS = (
+    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "figures", "kidnap", "loop"),
+    *("map_size", "noise", "paper_mode", "real", "sensors", "structures", RECORD),
+)
+HAVING = {  # an option that not all benchmarks have -> those that have it
+    "against": ("speed", "start"),
+    "buildings": ("returns", "uncertainty"),
+    "cluster": tuple(name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY),
+    "policies": ("returns", "uncertainty"),
+    "records": ON_RECORDS,
+    "shard": (*IN_UNITS, RECORD),
+    "task": ("uncertainty",),
+    "with": ("association", "clutter", "consistency", "filters", "map_size", "structures", "victoria_park"),
 }
 COLOURS = 128  # of a committed picture: lines and areas need no more
-
-
-def those_with(option: str) -> tuple[str, ...]:
-    """The benchmarks that have an option."""
-    return tuple(name for name, options in KINDS.items() if option in options.split())
-
-
-NAMES = tuple(name for name in KINDS if name != RECORD)
-IN_UNITS = tuple(name for name in those_with("shard") if name != RECORD)  # of work, kept and divided
-PAGES = "pages"  # writes every page again
 
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0, or 1 where a gate or a bound failed, or 2 for a wrong command line."""
     given = parser().parse_args(arguments)
-    if given.name == PAGES:
-        return write_pages()
     module = importlib.import_module(f"benchmarks.{given.name}")
     options = options_of(given, module)
     if given.name == "speed" and given.against:
-        module = importlib.import_module(f"benchmarks.{COMPARING}")
+        module = importlib.import_module("benchmarks.against")
     try:
         content = measure(given.name, module, options)
     except OptionError as error:
@@ -128,22 +104,6 @@ def keep(given: argparse.Namespace, module: Any, options: Options, content: Figu
         save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
     if hasattr(module, "pictures"):
         save_pictures(module.pictures(options), path.with_suffix(""))
-
-
-def write_pages() -> int:
-    """Write the page of each result of a benchmark again, from its file."""
-    for path, page in pages():
-        path.with_suffix(".md").write_text(page)
-    return 0
-
-
-def pages() -> Iterator[tuple[Path, str]]:
-    """Each file of results of a benchmark, and the page that belongs to it."""
-    for path in sorted(RESULTS.glob("*.json")):
-        content = json.loads(path.read_text())
-        if "benchmark" in content:
-            name = COMPARING if "against" in content["figures"] else content["benchmark"]
-            yield path, page_of(content, importlib.import_module(f"benchmarks.{name}"), f"{path.stem}.png")
 
 
 def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
@@ -181,12 +141,10 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
 
 def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
     """What is wrong with the options that only some benchmarks have."""
-    own = KINDS[given.name].split()
-    asked = {"with": given.modules, "shard": given.shard != WHOLE}
-    asked |= {name: getattr(given, name) for name in ("against", "task", "policies", "buildings", "cluster", "records")}
-    for option, value in asked.items():
-        if value and option not in own:
-            yield f"--{option}: {given.name} does not have it; {', '.join(those_with(option))} do"
+    asked = vars(given) | {"with": given.modules, "shard": given.shard != WHOLE}
+    for option, names in HAVING.items():
+        if asked[option] and given.name not in names:
+            yield f"--{option}: {given.name} does not have it; {', '.join(names)} do"
     if given.sets and not hasattr(module, "SETS"):
         yield f"--sets: {given.name} is measured whole"
     if given.against and given.gate:
@@ -201,7 +159,7 @@ def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     add, many = made.add_argument, {"nargs": "+", "action": "extend"}
-    add("name", choices=(*KINDS, PAGES), help=f"a benchmark; {PAGES}: write the page of every result again")
+    add("name", choices=(*NAMES, RECORD))
     add("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
     add("--jobs", type=positive, default=1, help="processes at the same time")
     add("--gate", action="store_true", help="compare with the committed baseline, write nothing")
@@ -214,7 +172,7 @@ def parser() -> argparse.ArgumentParser:
     add("--against", metavar="GIT_REF", help=text)
     text = "every N-th unit only, from the I-th; then the command without --shard gives the figures"
     add("--shard", type=shard, default=WHOLE, metavar="I/N", help=text)
-    text = f"of {', '.join(those_with('records'))}: the drives that are replayed; missing ones are made there and stay"
+    text = f"of {', '.join(ON_RECORDS)}: the drives that are replayed; missing ones are made there and stay"
     add("--records", type=Path, metavar="FOLDER", help=text)
     add("--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address")
     add("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")

@@ -16,6 +16,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import common
 from benchmarks.common import Gate, Options
+from benchmarks.pages import pages
 from mecp_env.core import intervals
 from mecp_env.core.work_units import Shard
 
@@ -211,6 +212,6 @@ def test_every_benchmark_has_a_row_in_the_results_and_its_gates_name_figures_of_
 
 
 def test_every_page_is_what_its_result_gives() -> None:
-    """`python -m benchmarks pages` writes them again."""
-    stale = [path.stem for path, page in command.pages() if page != path.with_suffix(".md").read_text()]
+    """`python -m benchmarks.pages` writes them again."""
+    stale = [path.stem for path, page in pages() if page != path.with_suffix(".md").read_text()]
     assert not stale

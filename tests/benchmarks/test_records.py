@@ -189,7 +189,7 @@ def test_every_experiment_on_drives_can_be_recorded() -> None:
     assert numbers["association"] == sum(association.SEEDS.values())
     assert numbers["kidnap"] == 2 * sum(kidnap.SEEDS.values())
     assert numbers["noise"] == len(noise.RECORDED) * noise.DRIVES[noise.BASE]
-    assert set(record.COURSES) < set(command.those_with("records"))
+    assert set(record.COURSES) < set(command.ON_RECORDS)
     shared = {course.file for course in record.COURSES["loop"](record.ALL)}
     assert {course.file for course in record.COURSES["clutter"](record.ALL)} <= shared
     assert all(len(of(1)) <= len(of(2)) for of in record.COURSES.values())
