@@ -16,7 +16,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -24,7 +23,19 @@ import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, best_of, runs_of
 from benchmarks.drives import Drive
-from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
+from benchmarks.loop import (
+    FIRST_SCAN,
+    RIGHT_PAIRS,
+    Finished,
+    Look,
+    course,
+    finish,
+    front_end,
+    judged,
+    look,
+    named,
+    rough_view,
+)
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table
 from benchmarks.variants import DEFAULT, RIVALS
@@ -35,7 +46,7 @@ from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
+from mecp_env.slam.messages import CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
 from mecp_env.slam.protocols import Filter
 
 CORNERS, SPURIOUS = 20, 4
@@ -142,22 +153,17 @@ def independent(cov: Array, alone: Bools) -> Array:
 
 def race(finished: Finished, seen: Look, error: Array, section: AssociationConfig) -> dict[str, list[float]]:
     """COLUMNS of every associator on one scan, with a pose off by `error`, a row of x, y, heading and their sigmas."""
-    pipeline, (off, sigmas) = finished.pipeline, error
-    belief = pipeline.filter.copy()
-    belief.set_pose(seen.T_map_robot + off, np.diag(sigmas**2))
-    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
-    view = pipeline.map.view(belief.belief(), graph, np.full(len(seen.corners), -1), pipeline.step_count + 1)
+    off, sigmas = error
+    view, belief = rough_view(finished.pipeline, seen.T_map_robot + off, sigmas, len(seen.corners))
     rows = {}
     for name, fields in METHODS.items():
         config = section.model_copy(update=fields | {"search_budget": BUDGET})
         decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
         match = decide()
-        paired = match.recognised()
-        claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
-        correct = int(((claimed == true) & (true >= 0)).sum())
-        right, wrong = correct >= RIGHT_PAIRS and correct == len(paired), len(paired) - correct
+        pairs, wrong = judged(finished, seen, match)
+        right = pairs >= RIGHT_PAIRS and not wrong
         spent = config.method == "jcbb" and nodes(seen.corners, view, belief, config) >= config.search_budget
-        rows[name] = [1.0, fastest_ms(decide), right, len(paired), wrong, match.polygon >= 0, spent]
+        rows[name] = [1.0, fastest_ms(decide), right, pairs, wrong, match.polygon >= 0, spent]
     return rows
 
 

@@ -88,6 +88,14 @@ def runs_of(options: Options, counts: Mapping[str, int], most: int, quick: int) 
     return [(name, number) for name, count in asked.items() for number in range(min(count, most))]
 
 
+def buildings_of(options: Options, settings: Iterable[str], each: int, most: int) -> dict[str, int]:
+    """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
+    if options.buildings > most:
+        raise OptionError(f"--buildings {options.buildings}: the split has {most}")
+    counts = dict.fromkeys(settings, options.buildings or each)
+    return chosen(options.sets, counts, most) or counts
+
+
 def shared_data(kind: str) -> Path | None:
     """The folder `shared/data/KIND` beside the repository, None elsewhere."""
     folders = (parent / "shared" / "data" / kind for parent in Path(__file__).resolve().parents)
