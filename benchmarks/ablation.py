@@ -141,7 +141,8 @@ def report(figures: Figures) -> str:
         for path, figure in of.items()
         if figure["n"] > 1 and (figure["low"] > 0.0 or figure["high"] < 0.0)
     ]
-    same = [f"`{name}`" for name, of in flat.items() if all(map(is_zero, of.values()))]
+    zero = dict.fromkeys(("value", "low", "high"), 0.0)
+    same = [f"`{name}`" for name, of in flat.items() if all(zero.items() <= figure.items() for figure in of.values())]
     quiet = sorted({f"`{name}`" for name in flat} - {row[0] for row in rows} - set(same))
     parts = [
         f"{len(figures)} variants.",
@@ -150,8 +151,3 @@ def report(figures: Figures) -> str:
         f"Same bits ({len(same)}): {', '.join(same) or '-'}.",
     ]
     return "\n\n".join(parts)
-
-
-def is_zero(figure: Figures) -> bool:
-    """Whether no drive differs."""
-    return bool(figure["value"] == 0.0 and figure["low"] == 0.0 and figure["high"] == 0.0)

@@ -8,12 +8,14 @@ are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[s
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import os
 import platform
 import sys
 import time
+import timeit
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -183,14 +185,15 @@ def steps_per_s(step: Callable[[], int], seconds: float) -> float:
 def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
     """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
     call()
-    return min(_timed(call, calls) for _ in range(repeats)) / calls
+    return min(timeit.repeat(call, repeat=repeats, number=calls)) / calls
 
 
-def _timed(call: Callable[[], object], calls: int) -> float:
-    start = time.perf_counter()
-    for _ in range(calls):
-        call()
-    return time.perf_counter() - start
+def from_extra(package: str, what: str, extra: str = "lab") -> Any:
+    """A package of an extra. Raises `OptionError` that says what needs it where it is not installed."""
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError:
+        raise OptionError(f"{what}: pip install -e '.[{extra}]'") from None
 
 
 @compiled

@@ -26,7 +26,6 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.render import shapes
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
@@ -167,8 +166,7 @@ def of_centre(centre: Centre) -> Figures:
 
 def polygons_of(output: SlamOutput) -> Figures:
     """Rooms, doors, polygons of landmarks, and the vertices that polygons of different rooms share."""
-    where = shapes.positions(output.belief)
-    whole = [polygon for polygon in output.map_polygons if all(int(i) in where for i in polygon.ids)]
+    whole = paper_plots.whole_polygons(output)
     rooms: dict[int, set[int]] = {}
     for polygon in whole:
         rooms.setdefault(output.graph.resolve(polygon.room), set()).update(map(int, polygon.ids))

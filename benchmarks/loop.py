@@ -55,7 +55,6 @@ from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
-from mecp_env.world.schema import Layout
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
 VARIANTS: dict[str, Variant] = {
@@ -174,11 +173,6 @@ def place(layout: str, seed: int) -> str:
 def course(layout: str, seed: int) -> Course:
     """What is driven."""
     return Course(place(layout, seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
-
-
-def building(layout: str, seed: int) -> Layout:
-    """The building of a drive."""
-    return course(layout, seed).building()
 
 
 def finish(drive: Drive) -> Finished:

@@ -7,9 +7,7 @@ in which numba compiled or loaded a function are excluded.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pymunk
@@ -17,9 +15,9 @@ import pymunk
 from benchmarks import crowd_speed, peers, polygon_speed
 from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import drive_at_random, exploration
-from benchmarks.polygon_speed import SITES
+from benchmarks.polygon_speed import SITES, median_us
 from benchmarks.tables import sections, table, table_of
-from mecp_env.cli.stopwatch import Stopwatch, timed_stages
+from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig
@@ -65,12 +63,8 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
         drive(env, steps)
     with timed_stages() as stages:
         drive(env, steps)
-    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver(watch), "us": stages.microseconds()}
-
-
-def with_driver(watch: Stopwatch) -> float:
-    """Control steps per second including planner and controller of the goal actions."""
-    return watch.steps / (watch.seconds["step"] + watch.seconds["drive"])
+    with_driver = watch.steps / (watch.seconds["step"] + watch.seconds["drive"])  # with planner and controller
+    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver, "us": stages.microseconds()}
 
 
 def explore(env: MecpEnv, steps: int) -> None:
@@ -97,8 +91,8 @@ def rays(poses: int) -> Figures:
         "faces": len(outline.segments),
         "kernel_us": median_us(lambda pose: _cast(faces, pose, table, spacing, 0.0), places),
         "laser_with_noise_us": median_us(lambda pose: laser.scan(pose, rng), places),
-        "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few),
-        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few),
+        "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few, repeats=3),
+        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few, repeats=3),
     }
 
 
@@ -133,18 +127,6 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
         share = (ax * dy - ay * dx) / (dx * ey - dy * ex)
     ranges: Array = np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
     return ranges
-
-
-def median_us(call: Callable[[Any], object], items: list[Any]) -> float:
-    """Median over the items of the fastest of three calls each, us, after one warm-up call."""
-    call(items[0])
-    return 1e6 * float(np.median([min(_once(call, item) for _ in range(3)) for item in items]))
-
-
-def _once(call: Callable[[Any], object], item: Any) -> float:
-    start = time.thread_time()
-    call(item)
-    return time.thread_time() - start
 
 
 def report(figures: Figures) -> str:
