@@ -32,7 +32,6 @@ from mecp_env.world.layout import shipped_layouts
 DRIVES = {"paper": 12, "furnished": 6}
 LOOPS = {"paper": 6, "hard": 4}
 POSES = 24  # per layout
-KINDS = ("drive", "ideal", "loop", "scans")
 SITES, SETS, GROUPS = (10, 15, 20, 30, 40), 100, 5  # for the exponent of the cost
 DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
 IDEAL = {association.IDEAL: 12}
@@ -85,17 +84,20 @@ def run(options: Options) -> Figures:
     """All figures that the claims name."""
     part = 6 if options.quick else 1
     units = [
-        *(("drive", layout, seed) for layout, n in DRIVES.items() for seed in range(max(n // part, 1))),
-        *(("ideal", layout, seed) for layout, n in IDEAL.items() for seed in range(max(n // part, 1))),
-        *(("loop", layout, seed) for layout, n in LOOPS.items() for seed in range(max(n // part, 1))),
-        *(("scans", layout, POSES // part) for layout in shipped_layouts()),
+        (kind, layout, seed)
+        for kind, counts in {"drive": DRIVES, "ideal": IDEAL, "loop": LOOPS}.items()
+        for layout, count in counts.items()
+        for seed in range(max(count // part, 1))
     ]
+    units += [("scans", layout, POSES // part) for layout in shipped_layouts()]
     results = in_parallel(partial(measure, records=Records(options.records)), dict[str, Any], units, options)
-    of = {kind: [r for u, r in zip(units, results, strict=True) if u[0] == kind] for kind in KINDS}
-    closed, rough = of_drives([r["methods"] for r in of["drive"]]), of_loops(of["loop"])
+    of: dict[str, list[Any]] = {}
+    for (kind, *_), result in zip(units, results, strict=True):
+        of.setdefault(kind, []).append(result)
+    rough = of_loops(of["loop"])
     timed = {**rough.pop("timed"), **exponents(SETS // part)}
     return {
-        **closed,
+        **of_drives([r["methods"] for r in of["drive"]]),
         "ideal_laser": precisions([r["methods"] for r in of["ideal"]]),
         **of_polygons([r["polygons"] for r in of["drive"]]),
         **rough,

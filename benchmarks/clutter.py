@@ -28,7 +28,7 @@ from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table
 from benchmarks.variants import associators, with_change
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
@@ -137,11 +137,7 @@ def clear_hits(corners: Corners, beams: MergedScan) -> Ints:
 
 def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, place: Ints) -> Corners:
     """Corners at `z` (n,2) that are those of `source` (n,), turned; `place` (old n,): where the old ones are now."""
-    cov = np.zeros((2 * len(z), 2 * len(z)))
-    for i, j in np.ndindex(len(z), len(z)):
-        if i == j or not (false[i] or false[j]):
-            a, b = 2 * source[i], 2 * source[j]
-            cov[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = corners.cov[a : a + 2, b : b + 2]
+    cov = independent(corners.measurements(source)[1], false)
     ways, jambs = corners.doorways, place[corners.doorways.jambs.reshape(-1, 2)]
     there = (jambs >= 0).all(axis=1)
     number = np.append(np.where(there, np.cumsum(there) - 1, -1), -1)  # of each doorway now; the last: of none
@@ -151,6 +147,14 @@ def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, p
     marks = corners.convex[source], normals.reshape(-1, 2), beyond, corners.sites[source]
     doorways = Doorways(jambs[there], ways.width[there], ways.confirmable[there])
     return Corners(z, cov, kind.astype(np.int64), *marks, doorways)
+
+
+def independent(cov: Array, alone: Bools) -> Array:
+    """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
+    correlated = np.repeat(~alone, 2)
+    own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
+    kept: Array = np.where(own | (correlated[:, None] & correlated), cov, 0.0)
+    return kept
 
 
 def report(figures: Figures) -> str:
