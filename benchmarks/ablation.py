@@ -44,15 +44,18 @@ def changes() -> dict[str, dict[str, Any]]:
     """Each variant by name: fields of sections of the configuration; the default has none."""
     found: dict[str, dict[str, Any]] = {DEFAULT: {}}
     for section, field in SlamConfig.model_fields.items():
-        if section == "sensor":
-            continue
-        settings = field.default
-        for name, of_name in type(settings).model_fields.items():
-            for label, other in variants_of(getattr(settings, name), of_name.annotation):
-                change = {section: {name: other}}
-                if is_valid(change):
-                    found[f"{section}.{name} {label}"] = change
-    return found
+        if section != "sensor":
+            found |= changes_of(section, field.default)
+    return {name: change for name, change in found.items() if is_valid(change)}
+
+
+def changes_of(section: str, settings: Any) -> dict[str, dict[str, Any]]:
+    """Other values of each field of a section."""
+    return {
+        f"{section}.{name} {label}": {section: {name: other}}
+        for name, field in type(settings).model_fields.items()
+        for label, other in variants_of(getattr(settings, name), field.annotation)
+    }
 
 
 def variants_of(value: Any, annotation: Any) -> list[tuple[str, Any]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from itertools import chain
 
 import numpy as np
 import pymunk
@@ -69,12 +70,11 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
 
 def explore(env: MecpEnv, steps: int) -> None:
     """Whole explorations, one after the other, until enough steps are over."""
-    seen, goals = 0, GoalActions(env)
-    for seed in range(steps):
-        for info, _ in exploration(goals, seed):
-            seen += info["periods"]
-            if seen >= steps:
-                return
+    goals, seen = GoalActions(env), 0
+    for info, _ in chain.from_iterable(exploration(goals, seed) for seed in range(steps)):
+        seen += info["periods"]
+        if seen >= steps:
+            return
 
 
 def rays(poses: int) -> Figures:
