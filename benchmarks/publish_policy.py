@@ -15,7 +15,7 @@ from typing import Annotated, Any
 import numpy as np
 import tyro
 
-from mecp_env.cli.exit_codes import run_command
+from mecp_env.cli.base import run_command
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import read_config

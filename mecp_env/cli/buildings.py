@@ -11,13 +11,12 @@ from typing import Annotated, Any, Literal
 
 import tyro
 
-from mecp_env.cli.base import one_of
-from mecp_env.cli.exit_codes import print_error
+from mecp_env.cli.base import one_of, print_error
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import exists, is_folder
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, GeneratorSpec
+from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
 

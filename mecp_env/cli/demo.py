@@ -11,9 +11,8 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Seed, check_folder, check_writable
+from mecp_env.cli.base import INTERRUPTED, Command, OutFolder, Seed, check_folder, check_writable, echo, exit_code
 from mecp_env.cli.buildings import Reading, ReadingOptions, one, resolve, spare_sources, stem
-from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code
 from mecp_env.cli.options import Fields, WithModules, check_map, configuration, end_rerun, rerun_log, save_map
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError

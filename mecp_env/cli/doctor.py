@@ -25,8 +25,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.text import Text
 
-from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import FAILED
+from mecp_env.cli.base import FAILED, Command
 from mecp_env.core.processes import cores
 
 COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "bold red"}

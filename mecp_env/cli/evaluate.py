@@ -15,9 +15,20 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Steps, check_json, check_word, named_options
+from mecp_env.cli.base import (
+    FAILED,
+    INTERRUPTED,
+    Command,
+    OutFolder,
+    Steps,
+    check_json,
+    check_word,
+    echo,
+    named_options,
+    print_error,
+    tracked,
+)
 from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, tracked
 from mecp_env.cli.options import EnvironmentFields, Estimator, WithModules, named_fields
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
@@ -29,8 +40,7 @@ from mecp_env.world.layout import shipped_layouts
 
 if TYPE_CHECKING:
     from mecp_env.core.intervals import Figures
-    from mecp_env.policies.comparison import Row
-    from mecp_env.policies.evaluation import Evaluation
+    from mecp_env.policies.evaluation import Evaluation, Row
     from mecp_env.policies.rollout import EpisodeResult
     from mecp_env.policies.setting import Setting
 
@@ -216,7 +226,7 @@ class Evaluate(WithModules):
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
         from mecp_env.policies.evaluation import write_result
-        from mecp_env.policies.report_table import overview, page
+        from mecp_env.policies.report import overview, page
 
         rows = evaluation.rows()
         report_masked(evaluation)
@@ -234,8 +244,7 @@ class Evaluate(WithModules):
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film."""
-        from mecp_env.policies.evaluation import write_film
-        from mecp_env.policies.plots import draw_curves
+        from mecp_env.policies.report import draw_curves, write_film
 
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:

@@ -11,14 +11,13 @@ from typing import Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Seed, Steps, check_folder, named_options
+from mecp_env.cli.base import INTERRUPTED, Seed, Steps, check_folder, echo, exit_code, named_options, print_error
 from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName, resolve
-from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code, print_error
 from mecp_env.cli.options import Estimator, WithModules, check_map, end_rerun, rerun_log, save_map
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
+from mecp_env.world.config import DIFFICULTIES, SPLITS
 
 FOLDER = "MINARI_DATASETS_PATH"  # of minari; without it, .minari/datasets in the home folder
 EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task in place of the difficulty"

@@ -13,14 +13,16 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import Command, gathered, words_of
-from mecp_env.cli.exit_codes import (
+from mecp_env.cli.base import (
     WRONG_INPUT,
+    Command,
     at_end,
+    gathered,
     print_error,
     replace_unprintable,
     run_command,
     unbreakable_output,
+    words_of,
 )
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import import_modules

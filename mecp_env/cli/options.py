@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_o
 import tyro
 from pydantic import BaseModel, model_validator
 
-from mecp_env.cli.base import Command, check_writable
-from mecp_env.cli.exit_codes import echo, print_error
+from mecp_env.cli.base import Command, check_writable, echo, print_error
 from mecp_env.config import EnvConfig, Number, RewardConfig, merge
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.files import exists

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 from pydantic import Field
 
-from mecp_env.cli.base import OutFolder, Seed
+from mecp_env.cli.base import OutFolder, Seed, echo
 from mecp_env.cli.buildings import SERIES, Reading, ReadingOptions, expand, resolve
-from mecp_env.cli.exit_codes import echo
 from mecp_env.cli.options import Fields, WithModules, configuration
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import MecpError

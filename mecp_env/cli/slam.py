@@ -11,8 +11,17 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, Seed, check_folder, check_writable
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, exit_code, print_error
+from mecp_env.cli.base import (
+    FAILED,
+    INTERRUPTED,
+    Command,
+    Seed,
+    check_folder,
+    check_writable,
+    echo,
+    exit_code,
+    print_error,
+)
 from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig

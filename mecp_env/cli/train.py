@@ -9,8 +9,7 @@ from typing import Annotated, ClassVar, Self
 
 import tyro
 
-from mecp_env.cli.base import check_folder
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, print_os_error
+from mecp_env.cli.base import FAILED, INTERRUPTED, check_folder, echo, print_error, print_os_error
 from mecp_env.cli.options import WithModules, named_fields
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
@@ -47,7 +46,7 @@ class Train(WithModules):
 
     def run(self, line: Sequence[str]) -> int:
         """Train to the end, or until Ctrl-C; 1 when a worker died, a weight is not finite, or the disk is full."""
-        from mecp_env.cli.exit_codes import unbreakable_output
+        from mecp_env.cli.base import unbreakable_output
 
         config, folder = self.resumed(line) if self.resume else self.new(line)
         with unbreakable_output():

@@ -17,8 +17,7 @@ import gymnasium as gym
 import numpy as np
 from pydantic import Field
 
-from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import FAILED, echo, print_error
+from mecp_env.cli.base import FAILED, Command, echo, print_error
 from mecp_env.core.carriers import Array
 from mecp_env.episode.tasks import TASKS
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for

@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mecp_env.cli.base import Command, Seed, check_folder, check_writable, words_of
+from mecp_env.cli.base import WRONG_INPUT, Command, Seed, check_folder, check_writable, echo, tracked, words_of
 from mecp_env.cli.buildings import (
     NONE_GIVEN,
     Buildings,
@@ -32,13 +32,12 @@ from mecp_env.cli.buildings import (
     spare_sources,
     stem,
 )
-from mecp_env.cli.exit_codes import WRONG_INPUT, echo, tracked
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import is_folder, naming, sanitised, write_atomic
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.floorplans.folder import left_out
+from mecp_env.world.config import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, split_seed
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
 

@@ -27,10 +27,10 @@ from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.observations import make_space
 from mecp_env.learning import files, tables
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.downsampled import downsampled_space
+from mecp_env.learning.fits import downsampled_space
 from mecp_env.learning.sb3_batch import OptionBuffer
 from mecp_env.learning.tables import PRIORS
-from mecp_env.policies.gain import LANDMARK_VALID
+from mecp_env.policies.explorers import LANDMARK_VALID
 from mecp_env.policies.registry import VALID
 
 LAYERS = 8  # of the grid

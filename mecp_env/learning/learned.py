@@ -17,11 +17,10 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.learning import files
 from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
-from mecp_env.learning.downsampled import downsample
 from mecp_env.learning.encoder import make_network
 from mecp_env.learning.exported import StockModel, load_script, load_zip
 from mecp_env.learning.files import POLICY
-from mecp_env.learning.fits import Fit, ModelPolicy, batched
+from mecp_env.learning.fits import Fit, ModelPolicy, batched, downsample
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 

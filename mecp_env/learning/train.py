@@ -23,8 +23,7 @@ from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.encoder import check_size, make_model
 from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_env, make_many, make_validation
 from mecp_env.learning.files import check_finite, save_policy
-from mecp_env.learning.run_folder import RunFolder, TrainingState
-from mecp_env.learning.run_log import CLOCK, RunLog, draw_training
+from mecp_env.learning.run_folder import CLOCK, RunFolder, RunLog, TrainingState, draw_training
 from mecp_env.learning.sb3_batch import OptionCallback
 from mecp_env.learning.warm_start import check_teacher, warm_start
 

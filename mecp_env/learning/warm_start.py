@@ -19,9 +19,9 @@ from mecp_env.core.processes import WorkerDied, cores
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, run_units
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.downsampled import Observation, downsample, goal_masks
 from mecp_env.learning.environments import make_env
-from mecp_env.learning.run_log import RunLog
+from mecp_env.learning.fits import Observation, downsample, goal_masks
+from mecp_env.learning.run_folder import RunLog
 from mecp_env.policies.registry import make_policy
 
 ACTIVE = ("pause", "returning", "stachniss")  # explorers that act on their uncertainty

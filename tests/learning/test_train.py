@@ -22,8 +22,13 @@ from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.encoder import check_size, make_model  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.run_folder import MOST_BYTES, RunFolder, TrainingState, load_checkpoint  # noqa: E402
-from mecp_env.learning.run_log import RunLog  # noqa: E402
+from mecp_env.learning.run_folder import (  # noqa: E402
+    MOST_BYTES,
+    RunFolder,
+    RunLog,
+    TrainingState,
+    load_checkpoint,
+)
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
 from mecp_env.learning.warm_start import warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402

@@ -26,8 +26,11 @@ from mecp_env.core.processes import cores  # noqa: E402
 from mecp_env.core.work_units import FailedUnit  # noqa: E402
 from mecp_env.learning import train, warm_start  # noqa: E402
 from mecp_env.learning.environments import vectorise  # noqa: E402
-from mecp_env.learning.run_folder import RunFolder  # noqa: E402
-from mecp_env.learning.run_log import Table, read_rows  # noqa: E402
+from mecp_env.learning.run_folder import (  # noqa: E402
+    RunFolder,
+    Table,
+    read_rows,
+)
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.learning.test_learned import Payload  # noqa: E402
 from tests.learning.training import QUICK, ROOT, checkpoints, quick, resume, run  # noqa: E402

@@ -9,7 +9,7 @@ from mecp_env.cli.main import main
 from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.world.generator.spec import GeneratorSpec
+from mecp_env.world.config import GeneratorSpec
 
 
 def parse(line: list[str]) -> TrainConfig:

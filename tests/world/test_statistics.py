@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from mecp_env.world.statistics import building_figures
 
