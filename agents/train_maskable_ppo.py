@@ -26,8 +26,9 @@ try:
 
     from mecp_env.learning.encoder import GoalPointerPolicy, ObservationEncoder
     from mecp_env.learning.environments import OptionReward, vectorise
-    from mecp_env.learning.files import tensor_bytes, weights_of
+    from mecp_env.learning.exported import weights_of
     from mecp_env.learning.fits import DownsampledObservation
+    from mecp_env.learning.learned import tensor_bytes
     from mecp_env.learning.sb3_batch import OptionBuffer, OptionCallback
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None

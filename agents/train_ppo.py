@@ -26,8 +26,9 @@ try:
 
     from mecp_env.learning.encoder import ObservationEncoder
     from mecp_env.learning.environments import vectorise
-    from mecp_env.learning.files import tensor_bytes, weights_of
+    from mecp_env.learning.exported import weights_of
     from mecp_env.learning.fits import DownsampledObservation
+    from mecp_env.learning.learned import tensor_bytes
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
 

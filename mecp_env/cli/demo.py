@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import INTERRUPTED, Command, OutFolder, Seed, check_folder, check_writable, echo, exit_code
+from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo, exit_code
 from mecp_env.cli.buildings import Reading, ReadingOptions, one, resolve, spare_sources, stem
 from mecp_env.cli.options import Fields, WithModules, check_map, configuration, end_rerun, rerun_log, save_map
 from mecp_env.config import EnvConfig
@@ -51,7 +50,7 @@ class Demo(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.runs import (
             FILES,
@@ -105,7 +104,7 @@ class OneScan(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
         from mecp_env.cli.runs import Run
         from mecp_env.env import MecpEnv
@@ -164,9 +163,9 @@ class Replay(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
-        from mecp_env.render.replay import play_again, write_page
+        from mecp_env.render.replay_page import play_again, write_page
 
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)

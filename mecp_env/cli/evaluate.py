@@ -19,12 +19,12 @@ from mecp_env.cli.base import (
     FAILED,
     INTERRUPTED,
     Command,
+    Line,
     OutFolder,
     Steps,
     check_json,
     check_word,
     echo,
-    named_options,
     print_error,
     tracked,
 )
@@ -109,15 +109,15 @@ class Evaluate(WithModules):
 
     keeps_results = True
 
-    def check(self, line: Sequence[str]) -> None:
+    def check(self, line: Line) -> None:
         """Raise `ConfigError` for a way of reading plans without any, too."""
         super().check(line)
-        named = named_options(line)
+        named = line.sections
         if named & READING and not named & {"plans", "layout"}:
             name = min(named & READING).replace("_", "-")
             raise ConfigError(f"--{name}: how a plan is read; name one with --plans or --layout")
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
         if self.suite:
             return self._run_suite(line)
@@ -128,7 +128,7 @@ class Evaluate(WithModules):
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
         return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
 
-    def _setting(self, line: Sequence[str]) -> Setting:
+    def _setting(self, line: Line) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
         from mecp_env.policies.setting import Setting, plan_fields
 
@@ -156,14 +156,14 @@ class Evaluate(WithModules):
             )
         return Path(self.layout)
 
-    def _changes(self, line: Sequence[str]) -> dict[str, Any]:
+    def _changes(self, line: Line) -> dict[str, Any]:
         """The fields of the environment that the line names. Raises `ConfigError` for one that it names twice."""
         changes, crowd = named_fields(self.env, line, "--env."), named_fields(self.crowd, line, "--crowd.")
         for name in crowd.keys() & changes.get("crowd", {}).keys():
             raise ConfigError(f"--crowd.{name}: {crowd[name]}, --env.crowd.{name} is the same field; give one of them")
         return merge(changes, {"crowd": crowd}) if crowd else changes
 
-    def _run_suite(self, line: Sequence[str]) -> int:
+    def _run_suite(self, line: Line) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
         from mecp_env.policies.suites import check_name, submission
 
@@ -312,7 +312,7 @@ class Leaderboard(Command):
     suite: str = ""  # by default that of the files, without files active-quick-v1
     references: bool = True  # with the reference rows of the package
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Print the table."""
         from mecp_env.policies.suites import METRICS, SUITES, leaderboard, read_submission, reference_rows
 
@@ -363,7 +363,7 @@ class Submit(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
         from mecp_env.policies.registry import training_hours
         from mecp_env.policies.suites import Training, submission

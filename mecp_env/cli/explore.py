@@ -11,7 +11,7 @@ from typing import Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import INTERRUPTED, Seed, Steps, check_folder, echo, exit_code, named_options, print_error
+from mecp_env.cli.base import INTERRUPTED, Line, Seed, Steps, check_folder, echo, exit_code, print_error
 from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName, resolve
 from mecp_env.cli.options import Estimator, WithModules, check_map, end_rerun, rerun_log, save_map
 from mecp_env.core.errors import ConfigError
@@ -57,10 +57,10 @@ class Explore(WithModules):
     reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
-    def check(self, line: Sequence[str]) -> None:
+    def check(self, line: Line) -> None:
         """Raise `ConfigError` for a split of no buildings, too."""
         super().check(line)
-        named = named_options(line)
+        named = line.sections
         if "split" in named and not {"difficulty", "task"} & named:
             raise ConfigError(f"--split {self.split}: of the buildings of --difficulty or --task; name one")
 
@@ -68,7 +68,7 @@ class Explore(WithModules):
     def keeps_results(self) -> bool:
         return any(path is not None for path in (self.replay, self.rerun, self.save_map))
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Run the episode; one line per drive, then the metrics."""
         import gymnasium as gym
 
@@ -173,7 +173,7 @@ class RecordDataset(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Record the episodes; after Ctrl-C the dataset has those that were finished."""
         from mecp_env.policies.recording import DatasetWriter, Recording, default_name
         from mecp_env.policies.registry import make_policy

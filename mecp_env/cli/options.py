@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, is_dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_o
 import tyro
 from pydantic import BaseModel, model_validator
 
-from mecp_env.cli.base import Command, check_writable, echo, print_error
+from mecp_env.cli.base import Command, Line, check_writable, echo, print_error
 from mecp_env.config import EnvConfig, Number, RewardConfig, merge
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.files import exists
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 Estimator = Literal["slam", "known", "truth"]
 
 
-def hints(kind: type[Command], line: Sequence[str]) -> list[str]:
+def hints(kind: type[Command], line: Line) -> list[str]:
     """What was probably meant by words that an option does not take."""
     known = dict(choices(kind))
     pairs = [(name, word) for name, word in pairwise(line) if word not in known.get(name, (word,))]
@@ -75,28 +75,25 @@ class EnvironmentFields(Fields):
 EnvironmentFields.__name__ = "--env"
 
 
-def with_reward_preset(line: Sequence[str]) -> list[str]:
+def with_reward_preset(line: Line) -> Line:
     """The line with the preset that weights of the reward without one stand for, as in `RewardConfig`."""
     added = list[str]()
     for prefix in ("--env.reward.", "--config.reward."):
-        words = [word.removeprefix(prefix).partition("=")[0] for word in line if word.startswith(prefix)]
-        named = dict.fromkeys(word.replace("-", "_") for word in words)
-        preset = RewardConfig.completed(named).get("preset")
+        preset = RewardConfig.completed(dict.fromkeys(line.named(prefix))).get("preset")
         added += [f"{prefix}preset", preset] if preset else []
-    return [*line, *added]
+    return Line([*line, *added])
 
 
-def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
+def configuration(layout: str | Layout, fields: EnvConfig, line: Line) -> EnvConfig:
     """The configuration in which only those fields are set that the command line names, to a default or not."""
     return EnvConfig.build(named_fields(fields, line, "--config."), layout=layout)
 
 
-def named_fields(fields: Settings, line: Sequence[str], prefix: str = "--") -> dict[str, Any]:
+def named_fields(fields: Settings, line: Line, prefix: str = "--") -> dict[str, Any]:
     """Those of the fields that the command line names, as a tree; options that are no field are left out."""
     given, chosen = fields.model_dump(mode="json"), dict[str, Any]()
-    for option in line:
-        path = option.removeprefix(prefix).partition("=")[0].replace("-", "_")
-        if option.startswith(prefix) and _name(given, path) in given:
+    for path in line.named(prefix):
+        if _name(given, path) in given:
             chosen = merge(chosen, _at(given, path))
     return chosen
 
@@ -158,7 +155,7 @@ class WithModules(Command):
     modules: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="with", metavar="MODULE")] = ()
 
     @classmethod
-    def completed(cls, line: Sequence[str]) -> list[str]:
+    def completed(cls, line: Line) -> Line:
         """The line with the preset of the reward that weights without one stand for."""
         return with_reward_preset(line)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -15,6 +15,7 @@ from mecp_env.cli.base import (
     FAILED,
     INTERRUPTED,
     Command,
+    Line,
     Seed,
     check_folder,
     check_writable,
@@ -95,7 +96,7 @@ class Slam(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources  # loaded only here, so that help and errors come at once
         from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
@@ -163,7 +164,7 @@ class Slam(WithModules):
         echo(*(f"note: {note}" for note in log.notes))
         return log
 
-    def _estimator(self, log: Log, fault: str | None, line: Sequence[str]) -> tuple[SlamPipeline, Calibration | None]:
+    def _estimator(self, log: Log, fault: str | None, line: Line) -> tuple[SlamPipeline, Calibration | None]:
         """A new estimator for the log's laser, or one in a saved map, and the calibration of the odometry, if any.
 
         Raises `ConfigError` and `MapError`.
@@ -184,7 +185,7 @@ class Slam(WithModules):
         return pipeline, self._calibration(log, pipeline.config, sensor, fault, line)
 
     def _calibration(
-        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Sequence[str]
+        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Line
     ) -> Calibration | None:
         """That of the log's odometry and laser; None where it is not asked for, or where there is no odometry.
 
@@ -214,7 +215,7 @@ class Slam(WithModules):
             raise ConfigError(f"--start: {self.start!r:.60}, {POSE}") from None
         return (x, y, heading)
 
-    def _noise(self, line: Sequence[str]) -> OdometryConfig:
+    def _noise(self, line: Line) -> OdometryConfig:
         named = named_fields(self.noise, line, "--noise.")
         return OdometryConfig(**{name: value for name, value in named.items() if name in OdometryConfig.model_fields})
 
@@ -283,7 +284,7 @@ class Export(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Read the map, write every file that is asked for, a line each."""
         from mecp_env.cli.buildings import spare_sources
         from mecp_env.slam import SlamMap, SlamPipeline

@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -17,7 +17,7 @@ import gymnasium as gym
 import numpy as np
 from pydantic import Field
 
-from mecp_env.cli.base import FAILED, Command, echo, print_error
+from mecp_env.cli.base import FAILED, Command, Line, echo, print_error
 from mecp_env.core.carriers import Array
 from mecp_env.episode.tasks import TASKS
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for
@@ -141,7 +141,7 @@ class WarmUp(Command):
 
     jobs: Annotated[int, Field(ge=1)] | None = None  # processes at the same time, at most two; default: one per core
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Count the functions in the meantime; what no drive calls is compiled when it is called."""
         from rich.progress import Progress, SpinnerColumn, TextColumn
 

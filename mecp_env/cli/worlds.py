@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mecp_env.cli.base import WRONG_INPUT, Command, Seed, check_folder, check_writable, echo, tracked, words_of
+from mecp_env.cli.base import WRONG_INPUT, Command, Line, Seed, check_folder, check_writable, echo, tracked
 from mecp_env.cli.buildings import (
     NONE_GIVEN,
     Buildings,
@@ -51,7 +51,7 @@ class List(Command):
 
     examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
         console = Console()
         console.print(_shipped(), _presets())
@@ -72,7 +72,7 @@ class Validate(Command):
     files: Buildings  # files, folders, or any building as for draw
     reading: ReadingOptions = field(default_factory=Reading)
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Check every file, a line each."""
         if not self.files:
             raise ConfigError(NONE_GIVEN)
@@ -118,7 +118,7 @@ class Convert(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Read, write, and print what was written."""
         write = WRITERS.get(self.target.suffix.lower())
         if write is None:
@@ -191,7 +191,7 @@ class Draw(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Draw, and say where the picture is."""
         from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only where it draws
 
@@ -245,23 +245,23 @@ class Generate(Command):
     spec: tyro.conf.OmitArgPrefixes[GeneratorSpec] = field(default_factory=GeneratorSpec)
 
     @classmethod
-    def completed(cls, line: Sequence[str]) -> list[str]:
+    def completed(cls, line: Line) -> Line:
         """The line with a single number for a range as the range from it to itself."""
-        whole: list[str] = []
-        for before, word, after in zip(["", *line], line, [*line[1:], ""], strict=False):
-            single = before in RANGES and _is_number(word) and not _is_number(after)
-            whole += [word, word] if single else [word]
-        return whole
+        pairs = zip(line.parts[1:], line.options, strict=True)
+        whole = (
+            [name, *words, *words] if name in RANGES and len(words) == 1 else part for part, (name, words) in pairs
+        )
+        return Line(word for part in [line.parts[0], *whole] for word in part)
 
     @classmethod
-    def defaults(cls, line: Sequence[str]) -> Self | None:
+    def defaults(cls, line: Line) -> Self | None:
         """Those of the difficulty that the line names."""
-        chosen = [*words_of(line, "--difficulty"), "medium"][0]
+        chosen = [*line.first_words("--difficulty"), "medium"][0]
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Write the files, one line on each."""
         self._check()
         drawn = []
@@ -299,14 +299,6 @@ class Generate(Command):
             yield path, generate(self.spec, seed)
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 COLUMNS = {  # figure -> heading, format; the median of an even number of counts may end in a half
     "rooms": ("rooms", "{:g}"),
     "doors": ("doors", "{:g}"),
@@ -337,7 +329,7 @@ class Stats(Command):
     json: bool = False  # as JSON, with every figure
     reading: ReadingOptions = field(default_factory=Reading)
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Measure, and print a table or JSON."""
         words = {word: expand(word, self.reading) for word in self.worlds or shipped_layouts()}
         measured = measure(words, self.reading)
@@ -350,7 +342,7 @@ class Stats(Command):
 
 def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, list[Figures]]:
     """The figures of all buildings of each word."""
-    from mecp_env.world.statistics import building_figures
+    from mecp_env.world.doors import building_figures
 
     single = [(word, building) for word, buildings in words.items() for building in buildings]
     found: dict[str, list[Figures]] = {word: [] for word in words}

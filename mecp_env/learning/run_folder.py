@@ -38,8 +38,8 @@ from mecp_env.core.files import write_atomic
 from mecp_env.core.provenance import commit
 from mecp_env.learning.config import CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.environments import FIGURES
-from mecp_env.learning.exported import check_archive
-from mecp_env.learning.files import MOST_POLICY_BYTES, check_finite, write_json
+from mecp_env.learning.exported import check_archive, check_finite
+from mecp_env.learning.learned import MOST_POLICY_BYTES, write_json
 from mecp_env.render.figures import drawn
 
 fcntl: Any

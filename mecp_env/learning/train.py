@@ -19,10 +19,12 @@ from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 
 from mecp_env.core import processes
+from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.encoder import check_size, make_model
+from mecp_env.learning.encoder import make_model, make_network
 from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_env, make_many, make_validation
-from mecp_env.learning.files import check_finite, save_policy
+from mecp_env.learning.exported import check_finite, weights_of
+from mecp_env.learning.learned import MOST_POLICY_BYTES, save_policy, tensor_bytes
 from mecp_env.learning.run_folder import CLOCK, RunFolder, RunLog, TrainingState, draw_training
 from mecp_env.learning.sb3_batch import OptionCallback
 from mecp_env.learning.warm_start import check_teacher, warm_start
@@ -61,6 +63,18 @@ def check(config: TrainConfig) -> None:
     check_size(config)
     for index in range(len(config.buildings.difficulty)):
         make_env(config, index).close()
+
+
+def check_size(config: TrainConfig) -> None:
+    """Raise `ConfigError` for a network whose weights would be refused at loading."""
+    torch.set_num_threads(1)  # workers may be forked later, which threads of PyTorch would not survive
+    size = len(tensor_bytes(weights_of(make_network(config))))
+    network = config.network
+    if size > MOST_POLICY_BYTES:
+        raise ConfigError(
+            f"network.width: {network.width} (grid_channels {network.grid_channels}, lstm {network.lstm}) makes a file "
+            f"of {size} bytes of weights, at most {MOST_POLICY_BYTES}"
+        )
 
 
 def resumed(folder: RunFolder, model: OnPolicyAlgorithm, log: RunLog) -> TrainingState:

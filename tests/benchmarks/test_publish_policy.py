@@ -9,8 +9,7 @@ pytest.importorskip("safetensors")
 
 from benchmarks.publish_policy import PublishOptions, main, read_run
 from mecp_env.learning.encoder import make_network
-from mecp_env.learning.files import save_policy, write_json
-from mecp_env.learning.learned import load
+from mecp_env.learning.learned import load, save_policy, write_json
 from tests.learning.training import quick
 
 HEAD = "decisions,seconds,auc,auc_error\n"

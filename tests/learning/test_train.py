@@ -17,7 +17,7 @@ from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.config import REWARDS  # noqa: E402
 from mecp_env.episode.potentials import register_reward  # noqa: E402
-from mecp_env.learning import files  # noqa: E402
+from mecp_env.learning import learned  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.encoder import check_size, make_model  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
@@ -126,7 +126,7 @@ def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
     RunFolder(tmp_path, config).save(model, TrainingState())
     (path,) = checkpoints(tmp_path)
     size = sum(weight.numel() * 4 for weight in model.policy.parameters())
-    assert size > 0.9 * files.MOST_POLICY_BYTES
+    assert size > 0.9 * learned.MOST_POLICY_BYTES
     assert path.stat().st_size < MOST_BYTES
     assert load_checkpoint(path, model)
     venv.close()
