@@ -11,8 +11,21 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo, exit_code
-from mecp_env.cli.buildings import Reading, ReadingOptions, one, resolve, spare_sources, stem
-from mecp_env.cli.options import Fields, WithModules, check_map, configuration, end_rerun, rerun_log, save_map
+from mecp_env.cli.options import (
+    Fields,
+    Reading,
+    ReadingOptions,
+    WithModules,
+    check_map,
+    configuration,
+    end_rerun,
+    one,
+    rerun_log,
+    resolve,
+    save_map,
+    spare_sources,
+    stem,
+)
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json

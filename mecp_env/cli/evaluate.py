@@ -28,8 +28,17 @@ from mecp_env.cli.base import (
     print_error,
     tracked,
 )
-from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName
-from mecp_env.cli.options import EnvironmentFields, Estimator, WithModules, named_fields
+from mecp_env.cli.options import (
+    DifficultyName,
+    EnvironmentFields,
+    Estimator,
+    Reading,
+    ReadingOptions,
+    SplitName,
+    TaskName,
+    WithModules,
+    named_fields,
+)
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import exists, is_folder, write_atomic

@@ -12,8 +12,20 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import INTERRUPTED, Line, Seed, Steps, check_folder, echo, exit_code, print_error
-from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName, resolve
-from mecp_env.cli.options import Estimator, WithModules, check_map, end_rerun, rerun_log, save_map
+from mecp_env.cli.options import (
+    DifficultyName,
+    Estimator,
+    Reading,
+    ReadingOptions,
+    SplitName,
+    TaskName,
+    WithModules,
+    check_map,
+    end_rerun,
+    rerun_log,
+    resolve,
+    save_map,
+)
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS

@@ -15,8 +15,7 @@ from PIL import Image as Pictures
 from pydantic import Field
 
 from mecp_env.cli.base import Line, OutFolder, Seed, echo
-from mecp_env.cli.buildings import SERIES, Reading, ReadingOptions, expand, resolve
-from mecp_env.cli.options import Fields, WithModules, configuration
+from mecp_env.cli.options import SERIES, Fields, Reading, ReadingOptions, WithModules, configuration, expand, resolve
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv

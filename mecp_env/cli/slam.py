@@ -23,7 +23,7 @@ from mecp_env.cli.base import (
     exit_code,
     print_error,
 )
-from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map
+from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
@@ -98,8 +98,11 @@ class Slam(WithModules):
 
     def run(self, line: Line) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
-        from mecp_env.cli.buildings import spare_sources  # loaded only here, so that help and errors come at once
-        from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
+        from mecp_env.cli.runs import (
+            LOG_FILES,
+            LogFiles,
+            print_figures,
+        )  # loaded only here, so that help and errors come at once
         from mecp_env.core import warm_up
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
@@ -286,7 +289,6 @@ class Export(Command):
 
     def run(self, line: Line) -> int:
         """Read the map, write every file that is asked for, a line each."""
-        from mecp_env.cli.buildings import spare_sources
         from mecp_env.slam import SlamMap, SlamPipeline
         from mecp_env.slam.export import checked
 

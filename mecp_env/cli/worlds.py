@@ -19,7 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mecp_env.cli.base import WRONG_INPUT, Command, Line, Seed, check_folder, check_writable, echo, tracked
-from mecp_env.cli.buildings import (
+from mecp_env.cli.options import (
     NONE_GIVEN,
     Buildings,
     Reading,

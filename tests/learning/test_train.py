@@ -19,7 +19,7 @@ from mecp_env.config import REWARDS  # noqa: E402
 from mecp_env.episode.potentials import register_reward  # noqa: E402
 from mecp_env.learning import learned  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
-from mecp_env.learning.encoder import check_size, make_model  # noqa: E402
+from mecp_env.learning.encoder import make_model  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.run_folder import (  # noqa: E402
@@ -30,7 +30,7 @@ from mecp_env.learning.run_folder import (  # noqa: E402
     load_checkpoint,
 )
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
-from mecp_env.learning.warm_start import warm_start  # noqa: E402
+from mecp_env.learning.train import check_size, warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402
 from tests.learning.training import QUICK, ROOT, checkpoints, quick, run, start, weights_in, write_config  # noqa: E402
 
