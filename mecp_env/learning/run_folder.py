@@ -40,7 +40,7 @@ from mecp_env.learning.config import CONFIG, TrainConfig, WeightError, read_conf
 from mecp_env.learning.environments import FIGURES
 from mecp_env.learning.exported import check_archive, check_finite
 from mecp_env.learning.learned import MOST_POLICY_BYTES, write_json
-from mecp_env.render.figures import drawn
+from mecp_env.render.figures import drawn, open_axes, save
 
 fcntl: Any
 CLOCK = ("decisions", "periods", "episodes", "seconds")
@@ -314,7 +314,7 @@ def draw_training(folder: Path) -> Path | None:
     named = drawn(figure.axes[0])
     if named["handles"]:
         figure.legend(**named, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
-    figure.savefig(folder / CURVES, dpi=DPI, metadata={"Software": None})
+    save(figure, folder / CURVES, DPI)
     return folder / CURVES
 
 
@@ -339,5 +339,4 @@ def dress(axes: Axes, title: str) -> None:
     axes.xaxis.set_major_locator(MaxNLocator(6))
     axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}")
     axes.tick_params(labelsize=9)
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
+    open_axes(axes)

@@ -193,16 +193,19 @@ def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
 
     The first row of each policy has a band, its 95 % interval; the row with the pose known is dashed.
     """
-    from matplotlib.figure import Figure
+    from matplotlib.figure import Figure  # matplotlib is loaded only for a figure
+
+    from mecp_env.render.figures import open_axes, save
 
     figure = Figure(figsize=(9.0, 4.6), layout="constrained")
     axes = figure.add_subplot()
     for number, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
         draw_policy(axes, [row for row in rows if row["policy"] == policy], number)
     dress(axes, title)
+    open_axes(axes)
     heading = "area under the curve up to 1\n(dashed: pose known)"
     figure.legend(loc="outside right upper", frameon=False, fontsize=9, title=heading, title_fontsize=9)
-    figure.savefig(path, dpi=DPI, metadata={"Software": None})
+    save(figure, path, DPI)
 
 
 def draw_policy(axes: Axes, rows: list[Figures], number: int) -> None:
@@ -227,8 +230,6 @@ def dress(axes: Axes, title: str) -> None:
     axes.set_ylim(0.0, 1.02)
     axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
     axes.axvline(1.0, color=unit(FAINT), linewidth=0.8, linestyle=":")
-    axes.grid(alpha=0.25)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
 def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
