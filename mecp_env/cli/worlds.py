@@ -18,7 +18,7 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mecp_env.cli.base import WRONG_INPUT, Command, Line, Seed, check_folder, check_writable, echo, tracked
+from mecp_env.cli.base import LISTS, WRONG_INPUT, Command, Line, Seed, check_folder, check_writable, echo, tracked
 from mecp_env.cli.options import (
     NONE_GIVEN,
     Buildings,
@@ -222,7 +222,8 @@ def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 200) ->
     return path
 
 
-RANGES = tuple(f"--{name.replace('_', '-')}" for name, value in GeneratorSpec() if isinstance(value, tuple))
+FIELDS = {f"--{name.replace('_', '-')}": value for name, value in GeneratorSpec()}
+RANGES = [option for option, value in FIELDS.items() if isinstance(value, tuple) and option not in LISTS]
 
 
 @dataclass(frozen=True)
@@ -247,11 +248,10 @@ class Generate(Command):
     @classmethod
     def completed(cls, line: Line) -> Line:
         """The line with a single number for a range as the range from it to itself."""
-        pairs = zip(line.parts[1:], line.options, strict=True)
-        whole = (
-            [name, *words, *words] if name in RANGES and len(words) == 1 else part for part, (name, words) in pairs
-        )
-        return Line(word for part in [line.parts[0], *whole] for word in part)
+        whole = line.parts[:1]
+        for part, (name, words) in zip(line.parts[1:], line.options, strict=True):
+            whole.append([name, *words, *words] if name in RANGES and len(words) == 1 else part)
+        return Line(word for part in whole for word in part)
 
     @classmethod
     def defaults(cls, line: Line) -> Self | None:
