@@ -24,10 +24,11 @@ try:
     from sb3_contrib.common.maskable.evaluation import evaluate_policy
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
 
-    from mecp_env.learning.downsampled import DownsampledObservation
     from mecp_env.learning.encoder import GoalPointerPolicy, ObservationEncoder
     from mecp_env.learning.environments import OptionReward, vectorise
-    from mecp_env.learning.files import tensor_bytes, weights_of
+    from mecp_env.learning.exported import weights_of
+    from mecp_env.learning.fits import DownsampledObservation
+    from mecp_env.learning.learned import tensor_bytes
     from mecp_env.learning.sb3_batch import OptionBuffer, OptionCallback
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None

@@ -34,7 +34,7 @@ from benchmarks.variants import DEFAULT, RIVALS, with_change
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.core.intervals import estimate, share
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.policies.report_table import cell
+from mecp_env.policies.report import cell
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
 

@@ -17,7 +17,7 @@ from benchmarks.records import IN_MEMORY, Records
 from benchmarks.variants import with_change
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.evaluation.map_scores import covers
+from mecp_env.evaluation.ground_truth import covers
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp import find_polygons
 from mecp_env.slam.mecp.dobkin import rings_around

@@ -20,7 +20,8 @@ from benchmarks.tables import table_of
 from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.config import GeneratorSpec, split_seed
+from mecp_env.world.generator import generate
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions

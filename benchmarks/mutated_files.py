@@ -25,7 +25,7 @@ from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import save_svg
 from mecp_env.logs import read_log
 from mecp_env.policies.suites import SUITES, checksum_of, read_submission
-from mecp_env.render.replay import read_page, write_page
+from mecp_env.render.replay_page import read_page, write_page
 from mecp_env.slam import SlamMap, SlamPipeline
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline

@@ -12,7 +12,7 @@ from mecp_env.config import EnvConfig, merge
 from mecp_env.evaluation.log_run import LogRunConfig
 from mecp_env.floorplans.options import PlanOptions
 from mecp_env.slam import SlamConfig, SlamPipeline
-from mecp_env.world.generator import GeneratorSpec
+from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.layout import LIBRARY
 from tests.floorplans.mutations import VALUES
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from benchmarks.common import RESULTS
 from mecp_env.core.intervals import Figures
 from mecp_env.policies import suites
-from mecp_env.policies.report_table import cell, markdown_table
+from mecp_env.policies.report import cell, markdown_table
 
 ROOT = RESULTS.parents[1]
 TASKS = ("halls", "corridors", "cheap_robot")

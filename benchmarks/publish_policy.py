@@ -14,7 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.cli.exit_codes import run_command
+from mecp_env.cli.base import run_command
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import read_config

@@ -31,7 +31,8 @@ from mecp_env.core.sensors import LaserView, Odometry, Scan
 from mecp_env.core.snapshot import FileKind, check_header
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.config import SlamConfig
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.config import GeneratorSpec, split_seed
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout

@@ -17,7 +17,7 @@ from mecp_env.cli.runs import Run
 from mecp_env.config import EnvConfig
 from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
-from mecp_env.render.replay import write_page
+from mecp_env.render.replay_page import write_page
 
 RUNS, QUICK_RUNS = 10, 2
 PLAYED_S = 3.0

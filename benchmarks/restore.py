@@ -30,8 +30,7 @@ from mecp_env.core.errors import PlanWarning
 from mecp_env.core.snapshot import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
-from mecp_env.world.generator import SPLITS
-from mecp_env.world.generator.spec import DIFFICULTIES
+from mecp_env.world.config import DIFFICULTIES, SPLITS
 from mecp_env.world.layout import LIBRARY
 
 RUNS, QUICK = 1000, 10

@@ -18,7 +18,8 @@ from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.generator import generate
 from mecp_env.wrappers import GoalActions
 
 FILTERS = ("riekf", "riekf_submaps")

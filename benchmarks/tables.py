@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
-from mecp_env.policies.report_table import markdown_table
+from mecp_env.policies.report import markdown_table
 
 Rows = Mapping[str, Mapping[str, Any]]  # figures of each named row
 

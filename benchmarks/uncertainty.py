@@ -24,7 +24,7 @@ from mecp_env.core.intervals import estimate, share
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
-from mecp_env.policies.report_table import cell
+from mecp_env.policies.report import cell
 from mecp_env.policies.rollout import EpisodeTask, run_episode
 from mecp_env.policies.setting import Setting
 

@@ -30,7 +30,8 @@ from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.registration import make
 from mecp_env.render.figures import map_figure, save
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.config import GeneratorSpec, split_seed
+from mecp_env.world.generator import generate
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 

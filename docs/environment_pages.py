@@ -21,9 +21,9 @@ from mecp_env.episode.rewards import weights_of
 from mecp_env.episode.tasks import TASKS
 from mecp_env.floorplans import PlanOptions
 from mecp_env.policies.explorers import Nearest
-from mecp_env.render.film import Film
+from mecp_env.render.screen import Film
 from mecp_env.world import library
-from mecp_env.world.generator import DIFFICULTIES, GeneratorSpec
+from mecp_env.world.config import DIFFICULTIES, GeneratorSpec
 
 GIVEN = {"FloorPlan-v0": {"plan": str(Path(*library.__path__) / "office.json")}}  # arguments without a default
 FILM_GOALS = 12

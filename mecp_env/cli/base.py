@@ -1,17 +1,29 @@
-"""The base class of the commands of `mecp-env`, the types of their options, and checks of the paths they write to."""
+"""The base class of the commands of `mecp-env`, the types of their options, and checks of the paths they write to.
+
+How a command ends: its exit code, and one line on stderr instead of a traceback for an error of the user.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import io
+import os
+import sys
 import tempfile
 from abc import ABC, abstractmethod
-from collections.abc import Collection, Iterable, Mapping, Sequence
-from itertools import pairwise
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, redirect_stdout, suppress
+from functools import cached_property
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Any, ClassVar, Self, TypeVar
 
+import gymnasium as gym
 from pydantic import AfterValidator, Field
 
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
+from mecp_env.core.files import sanitised
+from mecp_env.core.interrupts import INTERRUPTED as INTERRUPTED
+from mecp_env.core.interrupts import leave, was_interrupted
 from mecp_env.core.settings import guess
 
 ELSEWHERE = "choose another place"
@@ -24,6 +36,53 @@ LISTS = (  # options that take several words; those of `tyro.conf.UseAppendActio
 )
 
 
+class Line(tuple[str, ...]):
+    """The words behind a command as a user types them, and which options they name."""
+
+    @cached_property
+    def parts(self) -> list[list[str]]:
+        """The words before all options, and then each option with the words up to the next one."""
+        parts = [list[str]()]
+        for word in self:
+            if word.startswith("--"):
+                parts.append([])
+            parts[-1].append(word)
+        return parts
+
+    @cached_property
+    def options(self) -> list[tuple[str, list[str]]]:
+        """Each option with the words behind it: `("--with", ["a"])` for `--with a` and for `--with=a`."""
+        split = ((part[0].partition("="), part[1:]) for part in self.parts[1:])
+        return [(name, [value, *rest] if equals else rest) for (name, equals, value), rest in split]
+
+    def named(self, prefix: str = "--") -> list[str]:
+        """The options that start with a prefix, each once, as fields: `laser.max_range_m` below `--config.`."""
+        names = dict.fromkeys(name for name, _ in self.options if name.startswith(prefix))
+        return [name.removeprefix(prefix).replace("-", "_") for name in names]
+
+    @property
+    def sections(self) -> set[str]:
+        """The options, each without what follows a dot: `{"env", "max_steps"}`."""
+        return {name.partition(".")[0] for name in self.named()}
+
+    def first_words(self, option: str) -> list[str]:
+        """The first word behind an option, each time that the line has it: `["a", "b"]` for `--with a --with=b`."""
+        return [words[0] for name, words in self.options if name == option and words]
+
+    def gathered(self, lists: Collection[str] = LISTS) -> Line:
+        """The line with all words of an option of `lists` behind its first place, where the parser reads them."""
+        found, parts = dict[str, list[str]](), [self.parts[0]]
+        for part, (name, words) in zip(self.parts[1:], self.options, strict=True):
+            if name in found:
+                found[name] += words
+            elif name in lists:
+                found[name] = [name, *words]
+                parts.append(found[name])
+            else:
+                parts.append(part)
+        return Line(word for part in parts for word in part)
+
+
 class Command(ABC):
     """A command: a dataclass of its options, whose docstring is its help. Types may have bounds, as `Seed` has."""
 
@@ -31,20 +90,20 @@ class Command(ABC):
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> those that have no meaning beside it
 
     @classmethod
-    def completed(cls, line: Sequence[str]) -> list[str]:
+    def completed(cls, line: Line) -> Line:
         """The line with what a user may leave out."""
-        return list(line)
+        return line
 
     @classmethod
-    def defaults(cls, line: Sequence[str]) -> Self | None:
+    def defaults(cls, line: Line) -> Self | None:
         """What the options are where the line does not say; None: as the dataclass has it."""
         return None
 
-    def check(self, line: Sequence[str]) -> None:
+    def check(self, line: Line) -> None:
         """Refuse options of which one fixes what the other selects. Raises `ConfigError`."""
-        named = named_options(line)
+        sections = line.sections
         pairs = [(option, other) for option, others in self.fixes.items() for other in others]
-        for option, other in [pair for pair in pairs if named.issuperset(pair)]:
+        for option, other in [pair for pair in pairs if sections.issuperset(pair)]:
             raise ConfigError(f"{self._said(other)}: {self._said(option)} fixes it; leave out one of the two")
 
     def _said(self, name: str) -> str:
@@ -59,39 +118,8 @@ class Command(ABC):
         return False
 
     @abstractmethod
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Do the work; `line` is what the options were read from. Returns the exit code; raises `MecpError`."""
-
-
-def gathered(line: Sequence[str], options: Collection[str] = LISTS) -> list[str]:
-    """The line with all words of an option of `options` behind its first place, where the parser reads them."""
-    found, parts = dict[str, list[str]](), [list[str]()]
-    part = parts[0]
-    for word in line:
-        name, _, value = word.partition("=")
-        if name in options:
-            known = len(found)
-            part = found.setdefault(name, [name])
-            part += [value] if value else []
-            parts += [part] if len(found) > known else []
-        elif word.startswith("--"):
-            part = [word]
-            parts.append(part)
-        else:
-            part.append(word)
-    return [word for part in parts for word in part]
-
-
-def named_options(line: Sequence[str]) -> set[str]:
-    """The options that a line names, each without what follows a dot: `{"env", "max_steps"}`."""
-    words = [word for word in line if word.startswith("--")]
-    return {word[2:].partition("=")[0].partition(".")[0].replace("-", "_") for word in words}
-
-
-def words_of(line: Sequence[str], option: str) -> list[str]:
-    """The first word behind an option, each time that a line has it: `["a", "b"]` for `--with a --with=b`."""
-    parts = [part for word in line for part in (word.split("=", 1) if word.startswith(f"{option}=") else [word])]
-    return [word for name, word in pairwise(parts) if name == option]
 
 
 def check_word(name: str, word: str, known: Iterable[str]) -> str:
@@ -143,3 +171,106 @@ def check_json(path: Path, option: str) -> Path:
 Seed = Annotated[int, Field(ge=0)]
 Steps = Annotated[int, Field(ge=1, le=10_000_000)]
 OutFolder = Annotated[Path, AfterValidator(lambda path: check_folder(path))]
+
+
+class UnbreakableStream:
+    """A stream that reports a closed pipe once on stderr, and then discards all output."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        """As of the stream."""
+        self._attempt(lambda: self._stream.write(text))
+        return len(text)
+
+    def flush(self) -> None:
+        """As of the stream."""
+        self._attempt(self._stream.flush)
+
+    def _attempt(self, operation: Callable[[], object]) -> None:
+        try:
+            operation()
+        except BrokenPipeError:
+            with suppress(OSError):  # stderr may be the same closed pipe
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())  # also for what is in its buffer
+                print_error("the output pipe is closed; the run continues without output")
+
+
+@contextmanager
+def unbreakable_output() -> Iterator[None]:
+    """Within it standard output raises no `BrokenPipeError`."""
+    with redirect_stdout(UnbreakableStream(sys.stdout)):
+        yield
+
+
+FAILED, WRONG_INPUT = 1, 2  # beside 0 and INTERRUPTED
+T = TypeVar("T")
+
+
+def run_command(command: Callable[[], int]) -> int:
+    """The exit code of `command`; 2 for wrong input or a file that cannot be read or written, 130 after Ctrl-C.
+
+    It is 0 when the reader of the output closed the pipe, as in `mecp-env explore nearest | head -1`.
+    """
+    try:
+        return command()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except (MecpError, gym.error.Error) as error:
+        print_error(error)
+        return WRONG_INPUT
+    except OSError as error:
+        print_os_error(error)
+        return WRONG_INPUT
+    except KeyboardInterrupt:
+        print_error("interrupted")
+        return INTERRUPTED
+
+
+def replace_unprintable() -> None:
+    """From now on, characters that a terminal's encoding lacks are printed as `?`."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            with contextlib.suppress(OSError):  # a file that was closed, or a pipe without a reader
+                stream.reconfigure(errors="replace")
+
+
+def at_end(code: int) -> int:
+    """The exit code of the process of a command that ended with `code`; 130 where an interrupt was lost on its way."""
+    leave()
+    return code or (INTERRUPTED if was_interrupted() else 0)
+
+
+def exit_code(code: int, saved: bool) -> int:
+    """The exit code of a run that ended with `code`; 1 where the run is well but its map was not `saved`."""
+    return code or (0 if saved else FAILED)
+
+
+def echo(*lines: object) -> None:
+    """Print lines that may contain names from untrusted files, without control characters."""
+    for line in lines:
+        print(sanitised(str(line)))
+
+
+def print_error(what: object) -> None:
+    """Print one line on stderr, without control characters."""
+    print(f"mecp-env: {sanitised(str(what))}", file=sys.stderr)
+
+
+def print_os_error(error: OSError) -> None:
+    """Print which file failed, and why, on stderr."""
+    print_error(f"{error.filename or 'output'}: {error.strerror}")
+
+
+def tracked(items: Iterable[T], total: int, what: str) -> Iterable[T]:
+    """The items one by one, with a bar on stderr where that is a terminal."""
+    from rich.console import Console  # the overview of all commands does without
+    from rich.progress import track
+
+    console = Console(stderr=True)
+    return track(items, what, total, console=console, transient=True, disable=not console.is_terminal)

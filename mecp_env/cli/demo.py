@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import webbrowser
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
@@ -11,10 +10,22 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Seed, check_folder, check_writable
-from mecp_env.cli.buildings import Reading, ReadingOptions, one, resolve, spare_sources, stem
-from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code
-from mecp_env.cli.options import Fields, WithModules, check_map, configuration, end_rerun, rerun_log, save_map
+from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo, exit_code
+from mecp_env.cli.options import (
+    Fields,
+    Reading,
+    ReadingOptions,
+    WithModules,
+    check_map,
+    configuration,
+    end_rerun,
+    one,
+    rerun_log,
+    resolve,
+    save_map,
+    spare_sources,
+    stem,
+)
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json
@@ -52,7 +63,7 @@ class Demo(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.runs import (
             FILES,
@@ -106,7 +117,7 @@ class OneScan(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
         from mecp_env.cli.runs import Run
         from mecp_env.env import MecpEnv
@@ -165,9 +176,9 @@ class Replay(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
-        from mecp_env.render.replay import play_again, write_page
+        from mecp_env.render.replay_page import play_again, write_page
 
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)

@@ -25,8 +25,7 @@ from pydantic import Field
 from rich.console import Console
 from rich.text import Text
 
-from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import FAILED
+from mecp_env.cli.base import FAILED, Command, Line
 from mecp_env.core.processes import cores
 
 COLOURS = {"PASS": "green", "WARN": "yellow", "FAIL": "bold red"}
@@ -63,7 +62,7 @@ class Doctor(Command):
 
     seconds: Annotated[float, Field(ge=0.1, le=600.0)] = 2.0  # how long the self-test drives
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Print the finding of each check as soon as it is known."""
         counts = dict.fromkeys(COLOURS, 0)
         for finding in examine(CHECKS, self.seconds):
@@ -237,7 +236,7 @@ class Completion(Command):
     )
     shell: tyro.conf.Positional[Shell]
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Let the parser of all commands write the script; it is not run."""
         try:
             tyro.cli(all_commands(), prog="mecp-env", args=["--tyro-write-completion", self.shell, "-"])

@@ -15,10 +15,30 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, OutFolder, Steps, check_json, check_word, named_options
-from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, tracked
-from mecp_env.cli.options import EnvironmentFields, Estimator, WithModules, named_fields
+from mecp_env.cli.base import (
+    FAILED,
+    INTERRUPTED,
+    Command,
+    Line,
+    OutFolder,
+    Steps,
+    check_json,
+    check_word,
+    echo,
+    print_error,
+    tracked,
+)
+from mecp_env.cli.options import (
+    DifficultyName,
+    EnvironmentFields,
+    Estimator,
+    Reading,
+    ReadingOptions,
+    SplitName,
+    TaskName,
+    WithModules,
+    named_fields,
+)
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import exists, is_folder, write_atomic
@@ -29,8 +49,7 @@ from mecp_env.world.layout import shipped_layouts
 
 if TYPE_CHECKING:
     from mecp_env.core.intervals import Figures
-    from mecp_env.policies.comparison import Row
-    from mecp_env.policies.evaluation import Evaluation
+    from mecp_env.policies.evaluation import Evaluation, Row
     from mecp_env.policies.rollout import EpisodeResult
     from mecp_env.policies.setting import Setting
 
@@ -99,15 +118,15 @@ class Evaluate(WithModules):
 
     keeps_results = True
 
-    def check(self, line: Sequence[str]) -> None:
+    def check(self, line: Line) -> None:
         """Raise `ConfigError` for a way of reading plans without any, too."""
         super().check(line)
-        named = named_options(line)
+        named = line.sections
         if named & READING and not named & {"plans", "layout"}:
             name = min(named & READING).replace("_", "-")
             raise ConfigError(f"--{name}: how a plan is read; name one with --plans or --layout")
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
         if self.suite:
             return self._run_suite(line)
@@ -118,7 +137,7 @@ class Evaluate(WithModules):
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
         return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
 
-    def _setting(self, line: Sequence[str]) -> Setting:
+    def _setting(self, line: Line) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
         from mecp_env.policies.setting import Setting, plan_fields
 
@@ -146,14 +165,14 @@ class Evaluate(WithModules):
             )
         return Path(self.layout)
 
-    def _changes(self, line: Sequence[str]) -> dict[str, Any]:
+    def _changes(self, line: Line) -> dict[str, Any]:
         """The fields of the environment that the line names. Raises `ConfigError` for one that it names twice."""
         changes, crowd = named_fields(self.env, line, "--env."), named_fields(self.crowd, line, "--crowd.")
         for name in crowd.keys() & changes.get("crowd", {}).keys():
             raise ConfigError(f"--crowd.{name}: {crowd[name]}, --env.crowd.{name} is the same field; give one of them")
         return merge(changes, {"crowd": crowd}) if crowd else changes
 
-    def _run_suite(self, line: Sequence[str]) -> int:
+    def _run_suite(self, line: Line) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
         from mecp_env.policies.suites import check_name, submission
 
@@ -216,7 +235,7 @@ class Evaluate(WithModules):
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
         from mecp_env.policies.evaluation import write_result
-        from mecp_env.policies.report_table import overview, page
+        from mecp_env.policies.report import overview, page
 
         rows = evaluation.rows()
         report_masked(evaluation)
@@ -234,8 +253,7 @@ class Evaluate(WithModules):
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film."""
-        from mecp_env.policies.evaluation import write_film
-        from mecp_env.policies.plots import draw_curves
+        from mecp_env.policies.report import draw_curves, write_film
 
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:
@@ -303,7 +321,7 @@ class Leaderboard(Command):
     suite: str = ""  # by default that of the files, without files active-quick-v1
     references: bool = True  # with the reference rows of the package
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Print the table."""
         from mecp_env.policies.suites import METRICS, SUITES, leaderboard, read_submission, reference_rows
 
@@ -354,7 +372,7 @@ class Submit(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
         from mecp_env.policies.registry import training_hours
         from mecp_env.policies.suites import Training, submission

@@ -11,14 +11,25 @@ from typing import Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Seed, Steps, check_folder, named_options
-from mecp_env.cli.buildings import DifficultyName, Reading, ReadingOptions, SplitName, TaskName, resolve
-from mecp_env.cli.exit_codes import INTERRUPTED, echo, exit_code, print_error
-from mecp_env.cli.options import Estimator, WithModules, check_map, end_rerun, rerun_log, save_map
+from mecp_env.cli.base import INTERRUPTED, Line, Seed, Steps, check_folder, echo, exit_code, print_error
+from mecp_env.cli.options import (
+    DifficultyName,
+    Estimator,
+    Reading,
+    ReadingOptions,
+    SplitName,
+    TaskName,
+    WithModules,
+    check_map,
+    end_rerun,
+    rerun_log,
+    resolve,
+    save_map,
+)
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS
+from mecp_env.world.config import DIFFICULTIES, SPLITS
 
 FOLDER = "MINARI_DATASETS_PATH"  # of minari; without it, .minari/datasets in the home folder
 EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task in place of the difficulty"
@@ -58,10 +69,10 @@ class Explore(WithModules):
     reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
-    def check(self, line: Sequence[str]) -> None:
+    def check(self, line: Line) -> None:
         """Raise `ConfigError` for a split of no buildings, too."""
         super().check(line)
-        named = named_options(line)
+        named = line.sections
         if "split" in named and not {"difficulty", "task"} & named:
             raise ConfigError(f"--split {self.split}: of the buildings of --difficulty or --task; name one")
 
@@ -69,7 +80,7 @@ class Explore(WithModules):
     def keeps_results(self) -> bool:
         return any(path is not None for path in (self.replay, self.rerun, self.save_map))
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Run the episode; one line per drive, then the metrics."""
         import gymnasium as gym
 
@@ -174,7 +185,7 @@ class RecordDataset(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Record the episodes; after Ctrl-C the dataset has those that were finished."""
         from mecp_env.policies.recording import DatasetWriter, Recording, default_name
         from mecp_env.policies.registry import make_policy

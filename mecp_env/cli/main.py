@@ -13,9 +13,10 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import Command, gathered, words_of
-from mecp_env.cli.exit_codes import (
+from mecp_env.cli.base import (
     WRONG_INPUT,
+    Command,
+    Line,
     at_end,
     print_error,
     replace_unprintable,
@@ -61,18 +62,18 @@ def main(arguments: list[str] | None = None) -> int:
     return at_end(run_command(lambda: run(parse(words, line), line)))
 
 
-def run(command: Command, line: list[str]) -> int:
+def run(command: Command, line: Line) -> int:
     """The exit code of a command; what writes files does not end with the pipe that it prints to."""
     with unbreakable_output() if command.keeps_results else nullcontext():
         return command.run(line)
 
 
-def split(line: list[str]) -> tuple[str, list[str]]:
+def split(line: list[str]) -> tuple[str, Line]:
     """The command that a line starts with, and its options; ends the process after `--help`, with 2 without one."""
     for count in (2, 1):
         words = " ".join(line[:count])
         if words in COMMANDS:
-            return words, line[count:]
+            return words, Line(line[count:])
     group = line[0] if line and line[0] in GROUPS else ""
     raise SystemExit(answer(group, next(iter(line[1:] if group else line), "")))
 
@@ -113,7 +114,7 @@ def load(words: str) -> type[Command]:
     return kind
 
 
-def parse(words: str, line: list[str]) -> Command:
+def parse(words: str, line: Line) -> Command:
     """A command with its options. Ends the process after `--help`, and with 2 for wrong options.
 
     Raises `ConfigError` for an option out of its bounds.
@@ -123,8 +124,8 @@ def parse(words: str, line: list[str]) -> Command:
     from mecp_env.cli.options import hints
 
     kind = load(words)
-    import_modules(words_of(line, "--with"))  # they register names that options may have
-    line = kind.completed(gathered(line))
+    import_modules(line.first_words("--with"))  # they register names that options may have
+    line = kind.completed(line.gathered())
     about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
     examples = "\n".join(f"  {example}" for example in kind.examples)
     default: Any = kind.defaults(line)  # None: tyro takes those of the class
@@ -133,7 +134,7 @@ def parse(words: str, line: list[str]) -> Command:
             kind,
             prog=f"mecp-env {words}",
             description=f"{about}\n\nExamples:\n{examples}",
-            args=line,
+            args=list(line),
             default=default,
             config=(tyro.conf.AvoidSubcommands,),
         )

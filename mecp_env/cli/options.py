@@ -1,9 +1,14 @@
-"""Options that several commands share: fields of a configuration, `--with`, `--save-map`, `--rerun`."""
+"""Options that several commands share: fields of a configuration, `--with`, `--save-map`, `--rerun`, and buildings.
+
+How a command line names buildings: shipped names, hard:7, hard:0-9, files, folders.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+import re
+import warnings
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, is_dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
@@ -11,21 +16,33 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_o
 import tyro
 from pydantic import BaseModel, model_validator
 
-from mecp_env.cli.base import Command, check_writable
-from mecp_env.cli.exit_codes import echo, print_error
+from mecp_env.cli.base import Command, Line, check_writable, echo, one_of, print_error
 from mecp_env.config import EnvConfig, Number, RewardConfig, merge
-from mecp_env.core.errors import ConfigError, MecpError
-from mecp_env.core.files import exists
+from mecp_env.core.errors import ConfigError, LayoutError, MecpError
+from mecp_env.core.files import exists, is_folder
 from mecp_env.core.settings import Settings, guess
-from mecp_env.world.schema import Layout
+from mecp_env.episode.tasks import TASKS
+from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec
 
 if TYPE_CHECKING:
     from mecp_env.render.rerun_log import RerunLog
+    from mecp_env.world.schema import Layout
 
 Estimator = Literal["slam", "known", "truth"]
+MOST_SEEDS = 10_000
+SERIES = re.compile(rf"({'|'.join(DIFFICULTIES)}):(\d{{1,18}})(?:-(\d{{1,18}}))?")
+NONE_GIVEN = "name at least one building; `mecp-env worlds list` lists them"
+
+DifficultyName = Annotated[str, one_of("difficulty", DIFFICULTIES)]  # or empty
+SplitName = Annotated[str, one_of("split", SPLITS)]
+TaskName = Annotated[str, one_of("task", TASKS)]
+Kind = Literal["layout", "houseexpo", "map_server", "image", "labelled"]
+Buildings = Annotated[
+    tyro.conf.Positional[tuple[str, ...]], tyro.conf.arg(metavar="BUILDING ...", help_behavior_hint="")
+]
 
 
-def hints(kind: type[Command], line: Sequence[str]) -> list[str]:
+def hints(kind: type[Command], line: Line) -> list[str]:
     """What was probably meant by words that an option does not take."""
     known = dict(choices(kind))
     pairs = [(name, word) for name, word in pairwise(line) if word not in known.get(name, (word,))]
@@ -76,28 +93,25 @@ class EnvironmentFields(Fields):
 EnvironmentFields.__name__ = "--env"
 
 
-def with_reward_preset(line: Sequence[str]) -> list[str]:
+def with_reward_preset(line: Line) -> Line:
     """The line with the preset that weights of the reward without one stand for, as in `RewardConfig`."""
     added = list[str]()
     for prefix in ("--env.reward.", "--config.reward."):
-        words = [word.removeprefix(prefix).partition("=")[0] for word in line if word.startswith(prefix)]
-        named = dict.fromkeys(word.replace("-", "_") for word in words)
-        preset = RewardConfig.completed(named).get("preset")
+        preset = RewardConfig.completed(dict.fromkeys(line.named(prefix))).get("preset")
         added += [f"{prefix}preset", preset] if preset else []
-    return [*line, *added]
+    return Line([*line, *added])
 
 
-def configuration(layout: str | Layout, fields: EnvConfig, line: Sequence[str]) -> EnvConfig:
+def configuration(layout: str | Layout, fields: EnvConfig, line: Line) -> EnvConfig:
     """The configuration in which only those fields are set that the command line names, to a default or not."""
     return EnvConfig.build(named_fields(fields, line, "--config."), layout=layout)
 
 
-def named_fields(fields: Settings, line: Sequence[str], prefix: str = "--") -> dict[str, Any]:
+def named_fields(fields: Settings, line: Line, prefix: str = "--") -> dict[str, Any]:
     """Those of the fields that the command line names, as a tree; options that are no field are left out."""
     given, chosen = fields.model_dump(mode="json"), dict[str, Any]()
-    for option in line:
-        path = option.removeprefix(prefix).partition("=")[0].replace("-", "_")
-        if option.startswith(prefix) and _name(given, path) in given:
+    for path in line.named(prefix):
+        if _name(given, path) in given:
             chosen = merge(chosen, _at(given, path))
     return chosen
 
@@ -120,8 +134,6 @@ def check_map(path: Path | None, layout: str, estimator: str) -> None:
     """
     if path is None:
         return
-    from mecp_env.cli.buildings import spare_sources
-
     spare_sources([check_writable(path, "--save-map")], [layout])
     if estimator == "known":
         raise ConfigError(f"--save-map: {path}: a map of the estimator 'known' localises with ground truth only")
@@ -159,7 +171,7 @@ class WithModules(Command):
     modules: Annotated[tyro.conf.UseAppendAction[tuple[str, ...]], tyro.conf.arg(name="with", metavar="MODULE")] = ()
 
     @classmethod
-    def completed(cls, line: Sequence[str]) -> list[str]:
+    def completed(cls, line: Line) -> Line:
         """The line with the preset of the reward that weights without one stand for."""
         return with_reward_preset(line)
 
@@ -184,3 +196,147 @@ def end_rerun(log: RerunLog | None, path: Path | None) -> None:
     if log is not None:
         log.close()
         echo(f"recording: {path} (rerun {path})")
+
+
+@dataclass(frozen=True)
+class Reading:
+    """How plans are read, where the files do not say it themselves (docs/plans.md)."""
+
+    resolution_m: float | None = None  # metres per pixel, of an image without a map_server yaml
+    kind: Kind | None = None  # what a file is; only an image of rooms in colours must be said to be labelled
+    free_above: int | None = None  # grey levels above this are floor, 0 to 254; default: found from the image
+    door_width_m: tuple[float, float] | None = None  # narrowest and widest doorway; default: 0.3 1.9
+    door_depth_m: float | None = None  # of the deepest doorway; a longer passage is a corridor; default: 1
+    smallest_room_m2: float | None = None  # a smaller part of the floor belongs to its neighbour; default: 1
+    straighten: bool = True  # turn walls to the directions of the building
+
+    def options(self) -> dict[str, Any]:
+        """The options of `load_plan` that are given."""
+        given = {name: value for name, value in asdict(self).items() if value is not None}
+        return given if not self.straighten else {name: given[name] for name in given if name != "straighten"}
+
+
+AS_FOUND = Reading()
+ReadingOptions = Annotated[Reading, tyro.conf.OmitArgPrefixes]
+
+
+def expand(word: str, reading: Reading = AS_FOUND) -> list[str]:
+    """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.
+
+    Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder, and
+    `LayoutError` for a folder with a link out of it.
+    """
+    if word in DIFFICULTIES:
+        raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
+    series = SERIES.fullmatch(word)
+    if series:
+        return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
+    if word and is_folder(word):
+        from mecp_env.floorplans import plan_files
+
+        with warnings.catch_warnings(record=True, action="always") as found:
+            paths = plan_files(Path(word), reading.kind, images=reading.resolution_m is not None)
+        print_notes(found)
+        return [str(path) for path in paths]
+    return [word]
+
+
+def _series(word: str, preset: str, first: int, last: int) -> list[str]:
+    if last < first:
+        raise ConfigError(f"{word}: the first seed comes first, as {preset}:{last}-{first}")
+    if last - first >= MOST_SEEDS:
+        raise ConfigError(f"{word}: {last - first + 1} buildings, from 1 to {MOST_SEEDS} in a series")
+    return [f"{preset}:{seed}" for seed in range(first, last + 1)]
+
+
+def expand_all(words: Sequence[str], reading: Reading = AS_FOUND) -> list[str]:
+    """The single buildings of all words. Raises `ConfigError` for none."""
+    if not words:
+        raise ConfigError(NONE_GIVEN)
+    return [single for word in words for single in expand(word, reading)]
+
+
+def one(word: str, reading: Reading = AS_FOUND, option: str = "layout") -> str:
+    """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
+    first, *others = expand(word, reading)
+    if others:
+        raise ConfigError(f"{option}: {word} is {1 + len(others)} buildings; name one building, as {first}")
+    return first
+
+
+def resolve(word: str, reading: Reading = AS_FOUND) -> str | Layout:
+    """What the environment is given as layout: a shipped name as it is, so that a recipe stays short.
+
+    Raises `LayoutError` or `ConfigError` for a word that is no building, or several.
+    """
+    from mecp_env.world.layout import shipped_layouts  # loaded only here, so that help and errors come at once
+
+    word = one(word, reading)
+    return word if word in shipped_layouts() else load(word, reading)
+
+
+def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
+    """Raise `ConfigError` if a file that will be written is one that these buildings, logs or maps are read from."""
+    sources = [source for word in words for source in _sources(Path(word))]
+    for path in written:
+        if any(exists(path) and path.samefile(source) for source in sources):
+            raise ConfigError(f"{path} is what is read and would be overwritten; name another file")
+
+
+def _sources(path: Path) -> list[Path]:
+    """The files that a plan is read from: its own, and the image that a map_server yaml names."""
+    from mecp_env.floorplans.map_server import image_of
+
+    image = image_of(path) if path.suffix.lower() in (".yaml", ".yml") else None
+    return [source for source in (path, image) if source is not None and exists(source)]
+
+
+def stem(word: str) -> str:
+    """A name for what is kept of a building: `hard-7` for `hard:7`, of a file its name without ending."""
+    return Path(word).stem if exists(word) else word.replace(":", "-")
+
+
+def counted(layout: Layout) -> str:
+    """How many rooms, doors and obstacles there are, in words."""
+    parts = ((len(layout.rooms), "room"), (len(layout.doors), "door"), (len(layout.obstacles), "obstacle"))
+    return ", ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in parts)
+
+
+def load(word: str, reading: Reading = AS_FOUND) -> Layout:
+    """The checked layout of a single building. Raises `LayoutError`, or `ConfigError` for a wrong way of reading."""
+    from mecp_env.world.layout import load_layout, shipped_layouts
+
+    series = SERIES.fullmatch(word)
+    if series:
+        from mecp_env.world.generator import generate
+
+        return generate(GeneratorSpec.preset(series[1]), int(series[2]))
+    if word in shipped_layouts():
+        return load_layout(word)
+    if not word or not exists(word):
+        raise _no_such(word)
+    from mecp_env.floorplans import load_plan
+
+    with warnings.catch_warnings(record=True, action="always") as found:
+        layout = load_plan(word, **reading.options())
+    print_notes(found)
+    return layout
+
+
+def print_notes(found: Iterable[warnings.WarningMessage]) -> None:
+    """Print what was warned of, a line each."""
+    for warning in found:
+        print_error(f"note: {warning.message}")
+
+
+def _no_such(word: str) -> MecpError:
+    from mecp_env.world.layout import shipped_layouts
+
+    preset, _, seeds = word.partition(":")
+    if preset in DIFFICULTIES:
+        return ConfigError(
+            f"{word}: seeds are whole numbers, as {preset}:7, or a range of them, as {preset}:0-9; 18 digits at most"
+        )
+    shipped, presets = ", ".join(shipped_layouts()), ", ".join(f"{name}:SEED" for name in DIFFICULTIES)
+    nearest = guess(word, [*shipped_layouts(), *(f"{name}:{seeds or 0}" for name in DIFFICULTIES)])
+    return LayoutError(f"{word or repr(word)}: no such file or building; there are {shipped}, {presets}{nearest}")

@@ -14,10 +14,8 @@ from numpy.typing import NDArray
 from PIL import Image as Pictures
 from pydantic import Field
 
-from mecp_env.cli.base import OutFolder, Seed
-from mecp_env.cli.buildings import SERIES, Reading, ReadingOptions, expand, resolve
-from mecp_env.cli.exit_codes import echo
-from mecp_env.cli.options import Fields, WithModules, configuration
+from mecp_env.cli.base import Line, OutFolder, Seed, echo
+from mecp_env.cli.options import SERIES, Fields, Reading, ReadingOptions, WithModules, configuration, expand, resolve
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv
@@ -71,7 +69,7 @@ class Play(WithModules):
     reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Drive until the window is closed."""
         words = expand(self.layout, self.reading)
         first = MecpEnv(

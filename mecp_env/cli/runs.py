@@ -26,10 +26,9 @@ from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import Moment, curves_figure, map_figure, moment_of, save
-from mecp_env.render.film import Film
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
-from mecp_env.render.screen import Screen, ScreenConfig, thumbnail
+from mecp_env.render.screen import Film, Screen, ScreenConfig, thumbnail
 from mecp_env.render.shapes import SceneView, summary
 from mecp_env.slam.output import SlamOutput
 from mecp_env.wrappers import GoalActions, Step

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -11,9 +11,19 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import Command, Seed, check_folder, check_writable
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, exit_code, print_error
-from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map
+from mecp_env.cli.base import (
+    FAILED,
+    INTERRUPTED,
+    Command,
+    Line,
+    Seed,
+    check_folder,
+    check_writable,
+    echo,
+    exit_code,
+    print_error,
+)
+from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
@@ -86,10 +96,13 @@ class Slam(WithModules):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
-        from mecp_env.cli.buildings import spare_sources  # loaded only here, so that help and errors come at once
-        from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
+        from mecp_env.cli.runs import (
+            LOG_FILES,
+            LogFiles,
+            print_figures,
+        )  # loaded only here, so that help and errors come at once
         from mecp_env.core import warm_up
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
@@ -154,7 +167,7 @@ class Slam(WithModules):
         echo(*(f"note: {note}" for note in log.notes))
         return log
 
-    def _estimator(self, log: Log, fault: str | None, line: Sequence[str]) -> tuple[SlamPipeline, Calibration | None]:
+    def _estimator(self, log: Log, fault: str | None, line: Line) -> tuple[SlamPipeline, Calibration | None]:
         """A new estimator for the log's laser, or one in a saved map, and the calibration of the odometry, if any.
 
         Raises `ConfigError` and `MapError`.
@@ -175,7 +188,7 @@ class Slam(WithModules):
         return pipeline, self._calibration(log, pipeline.config, sensor, fault, line)
 
     def _calibration(
-        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Sequence[str]
+        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Line
     ) -> Calibration | None:
         """That of the log's odometry and laser; None where it is not asked for, or where there is no odometry.
 
@@ -205,7 +218,7 @@ class Slam(WithModules):
             raise ConfigError(f"--start: {self.start!r:.60}, {POSE}") from None
         return (x, y, heading)
 
-    def _noise(self, line: Sequence[str]) -> OdometryConfig:
+    def _noise(self, line: Line) -> OdometryConfig:
         named = named_fields(self.noise, line, "--noise.")
         return OdometryConfig(**{name: value for name, value in named.items() if name in OdometryConfig.model_fields})
 
@@ -274,9 +287,8 @@ class Export(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Read the map, write every file that is asked for, a line each."""
-        from mecp_env.cli.buildings import spare_sources
         from mecp_env.slam import SlamMap, SlamPipeline
         from mecp_env.slam.export import checked
 

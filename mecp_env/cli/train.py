@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, ClassVar, Self
 
 import tyro
 
-from mecp_env.cli.base import check_folder
-from mecp_env.cli.exit_codes import FAILED, INTERRUPTED, echo, print_error, print_os_error
+from mecp_env.cli.base import FAILED, INTERRUPTED, Line, check_folder, echo, print_error, print_os_error
 from mecp_env.cli.options import WithModules, named_fields
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
@@ -40,14 +38,14 @@ class Train(WithModules):
     fields: Annotated[TrainConfig, tyro.conf.arg(name="")] = field(default_factory=TrainConfig)
 
     @classmethod
-    def defaults(cls, line: Sequence[str]) -> Self:
+    def defaults(cls, line: Line) -> Self:
         """Those of the algorithm that the line starts with. Raises `ConfigError` for an unknown one."""
         named = bool(line) and not line[0].startswith("-")
         return cls(fields=TrainConfig.build({"algorithm": check_algorithm(line[0])} if named else {}))
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Train to the end, or until Ctrl-C; 1 when a worker died, a weight is not finite, or the disk is full."""
-        from mecp_env.cli.exit_codes import unbreakable_output
+        from mecp_env.cli.base import unbreakable_output
 
         config, folder = self.resumed(line) if self.resume else self.new(line)
         with unbreakable_output():
@@ -63,7 +61,7 @@ class Train(WithModules):
         from mecp_env.vector import WorkerDied
 
         try:
-            from mecp_env.learning.files import NotFiniteError
+            from mecp_env.learning.exported import NotFiniteError
             from mecp_env.learning.train import train
         except ModuleNotFoundError as error:
             raise ConfigError(f"train: needs {error.name}; {INSTALL}") from None
@@ -75,7 +73,7 @@ class Train(WithModules):
             print_os_error(error)
         return FAILED
 
-    def new(self, line: Sequence[str]) -> tuple[TrainConfig, Path]:
+    def new(self, line: Line) -> tuple[TrainConfig, Path]:
         """Configuration and folder of a new run."""
         below = read_config(self.config) if self.config else {}
         if not self.algorithm and "algorithm" not in below:
@@ -84,7 +82,7 @@ class Train(WithModules):
         config = TrainConfig.build(merge(below, named_fields(self.fields, line)))
         return config, check_folder(self.out or Path("runs") / f"{config.algorithm}-{config.seed}")
 
-    def resumed(self, line: Sequence[str]) -> tuple[TrainConfig, Path]:
+    def resumed(self, line: Line) -> tuple[TrainConfig, Path]:
         """Configuration and folder of a run that continues; it may be made longer."""
         assert self.resume is not None
         fields = read_config(self.resume / "config.json")

@@ -8,24 +8,22 @@ from __future__ import annotations
 import itertools
 import sys
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from pydantic import Field
 
-from mecp_env.cli.base import Command
-from mecp_env.cli.exit_codes import FAILED, echo, print_error
+from mecp_env.cli.base import FAILED, Command, Line, echo, print_error
 from mecp_env.core.carriers import Array
 from mecp_env.episode.tasks import TASKS
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for
 from mecp_env.logs import Log
 from mecp_env.logs.registration import registered
-from mecp_env.policies.registry import make_policy
-from mecp_env.policies.rollout import masks_of, options_of
+from mecp_env.policies.rollout import EpisodeTask, run_episode
+from mecp_env.policies.setting import Setting
 from mecp_env.registration import make_rooms
 from mecp_env.slam import SlamPipeline
 from mecp_env.vector.hosted import explore
@@ -87,15 +85,7 @@ def drive(env: Any, seed: int, choose: Callable[[], Any], held: int) -> None:
 
 def act(name: str, task: str) -> None:
     """The start of an episode of a policy in a task of active SLAM."""
-    policy = make_policy(name)
-    env = gym.make(f"mecp_env/{task}", max_steps=TASK_STEPS, **options_of(policy))
-    observation, _ = env.reset(seed=0)
-    policy.reset(0)
-    masks, over = masks_of(env), False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks()))
-        over = terminated or truncated
-    env.get_wrapper_attr("summary")()
+    run_episode(EpisodeTask(name, 0, Setting("", "train", max_steps=TASK_STEPS, task=task)))
 
 
 def log() -> None:
@@ -142,7 +132,7 @@ class WarmUp(Command):
 
     jobs: Annotated[int, Field(ge=1)] | None = None  # processes at the same time, at most two; default: one per core
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Count the functions in the meantime; what no drive calls is compiled when it is called."""
         from rich.progress import Progress, SpinnerColumn, TextColumn
 

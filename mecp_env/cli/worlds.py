@@ -18,8 +18,8 @@ from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
-from mecp_env.cli.base import Command, Seed, check_folder, check_writable, words_of
-from mecp_env.cli.buildings import (
+from mecp_env.cli.base import LISTS, WRONG_INPUT, Command, Line, Seed, check_folder, check_writable, echo, tracked
+from mecp_env.cli.options import (
     NONE_GIVEN,
     Buildings,
     Reading,
@@ -32,13 +32,12 @@ from mecp_env.cli.buildings import (
     spare_sources,
     stem,
 )
-from mecp_env.cli.exit_codes import WRONG_INPUT, echo, tracked
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import is_folder, naming, sanitised, write_atomic
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.floorplans.folder import left_out
+from mecp_env.world.config import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
-from mecp_env.world.generator.spec import DIFFICULTIES, SPLITS, Difficulty, GeneratorSpec, split_seed
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.schema import Layout
 
@@ -52,7 +51,7 @@ class List(Command):
 
     examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
         console = Console()
         console.print(_shipped(), _presets())
@@ -73,7 +72,7 @@ class Validate(Command):
     files: Buildings  # files, folders, or any building as for draw
     reading: ReadingOptions = field(default_factory=Reading)
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Check every file, a line each."""
         if not self.files:
             raise ConfigError(NONE_GIVEN)
@@ -119,7 +118,7 @@ class Convert(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Read, write, and print what was written."""
         write = WRITERS.get(self.target.suffix.lower())
         if write is None:
@@ -192,7 +191,7 @@ class Draw(Command):
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Draw, and say where the picture is."""
         from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only where it draws
 
@@ -223,7 +222,8 @@ def draw(buildings: Sequence[tuple[str, Layout]], path: Path, dpi: int = 200) ->
     return path
 
 
-RANGES = tuple(f"--{name.replace('_', '-')}" for name, value in GeneratorSpec() if isinstance(value, tuple))
+FIELDS = {f"--{name.replace('_', '-')}": value for name, value in GeneratorSpec()}
+RANGES = [option for option, value in FIELDS.items() if isinstance(value, tuple) and option not in LISTS]
 
 
 @dataclass(frozen=True)
@@ -246,23 +246,22 @@ class Generate(Command):
     spec: tyro.conf.OmitArgPrefixes[GeneratorSpec] = field(default_factory=GeneratorSpec)
 
     @classmethod
-    def completed(cls, line: Sequence[str]) -> list[str]:
+    def completed(cls, line: Line) -> Line:
         """The line with a single number for a range as the range from it to itself."""
-        whole: list[str] = []
-        for before, word, after in zip(["", *line], line, [*line[1:], ""], strict=False):
-            single = before in RANGES and _is_number(word) and not _is_number(after)
-            whole += [word, word] if single else [word]
-        return whole
+        whole = line.parts[:1]
+        for part, (name, words) in zip(line.parts[1:], line.options, strict=True):
+            whole.append([name, *words, *words] if name in RANGES and len(words) == 1 else part)
+        return Line(word for part in whole for word in part)
 
     @classmethod
-    def defaults(cls, line: Sequence[str]) -> Self | None:
+    def defaults(cls, line: Line) -> Self | None:
         """Those of the difficulty that the line names."""
-        chosen = [*words_of(line, "--difficulty"), "medium"][0]
+        chosen = [*line.first_words("--difficulty"), "medium"][0]
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
 
     keeps_results = True
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Write the files, one line on each."""
         self._check()
         drawn = []
@@ -300,14 +299,6 @@ class Generate(Command):
             yield path, generate(self.spec, seed)
 
 
-def _is_number(word: str) -> bool:
-    try:
-        float(word)
-    except ValueError:
-        return False
-    return True
-
-
 COLUMNS = {  # figure -> heading, format; the median of an even number of counts may end in a half
     "rooms": ("rooms", "{:g}"),
     "doors": ("doors", "{:g}"),
@@ -338,7 +329,7 @@ class Stats(Command):
     json: bool = False  # as JSON, with every figure
     reading: ReadingOptions = field(default_factory=Reading)
 
-    def run(self, line: Sequence[str]) -> int:
+    def run(self, line: Line) -> int:
         """Measure, and print a table or JSON."""
         words = {word: expand(word, self.reading) for word in self.worlds or shipped_layouts()}
         measured = measure(words, self.reading)
@@ -351,7 +342,7 @@ class Stats(Command):
 
 def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, list[Figures]]:
     """The figures of all buildings of each word."""
-    from mecp_env.world.statistics import building_figures
+    from mecp_env.world.doors import building_figures
 
     single = [(word, building) for word, buildings in words.items() for building in buildings]
     found: dict[str, list[Figures]] = {word: [] for word in words}

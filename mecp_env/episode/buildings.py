@@ -16,7 +16,8 @@ from mecp_env.core.files import is_folder
 from mecp_env.core.registry import Names
 from mecp_env.core.settings import shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
-from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed, unknown_split
+from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed, unknown_split
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
 

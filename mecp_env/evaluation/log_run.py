@@ -19,8 +19,7 @@ from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.se2 import between, chained, composed
 from mecp_env.core.sensors import Odometry
 from mecp_env.core.settings import Settings
-from mecp_env.evaluation.calibration import Calibration
-from mecp_env.evaluation.calibration.models import RANGE_SIGMA_M, UNIFORM
+from mecp_env.evaluation.calibration import RANGE_SIGMA_M, UNIFORM, Calibration
 from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
 from mecp_env.logs.log import Log
 from mecp_env.logs.odometry_model import arcs, end_of, reading

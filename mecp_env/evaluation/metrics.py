@@ -12,8 +12,12 @@ from mecp_env.core.budget import budget_m
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
-from mecp_env.evaluation.ground_truth import NO_OBSTACLES, DynamicObstacles, GroundTruth, MapQuality, correct_coverage
-from mecp_env.evaluation.map_scores import (
+from mecp_env.evaluation.ground_truth import (
+    NO_OBSTACLES,
+    DynamicObstacles,
+    GroundTruth,
+    MapQuality,
+    correct_coverage,
     covers,
     door_error,
     doors_found,

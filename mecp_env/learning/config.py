@@ -17,7 +17,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json
 from mecp_env.core.settings import Settings, as_many, guess, shown
 from mecp_env.episode.tasks import task_fields
-from mecp_env.world.generator.spec import GeneratorSpec
+from mecp_env.world.config import GeneratorSpec
 
 Algorithm = Literal["ppo", "maskable_ppo", "recurrent_ppo"]
 ALGORITHMS = get_args(Algorithm)

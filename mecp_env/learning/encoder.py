@@ -22,15 +22,14 @@ from stable_baselines3.common.vec_env import VecEnv
 from torch import Tensor, nn
 from torch.nn import functional
 
-from mecp_env.core.errors import ConfigError
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.episode.observations import make_space
-from mecp_env.learning import files, tables
+from mecp_env.learning import tables
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.downsampled import downsampled_space
+from mecp_env.learning.fits import downsampled_space
 from mecp_env.learning.sb3_batch import OptionBuffer
 from mecp_env.learning.tables import PRIORS
-from mecp_env.policies.gain import LANDMARK_VALID
+from mecp_env.policies.explorers import LANDMARK_VALID
 from mecp_env.policies.registry import VALID
 
 LAYERS = 8  # of the grid
@@ -281,15 +280,3 @@ def make_network(config: TrainConfig) -> BasePolicy:
     made: BasePolicy = policy(seen, actions, lambda _: 0.0, **keywords)
     made.set_training_mode(False)
     return made
-
-
-def check_size(config: TrainConfig) -> None:
-    """Raise `ConfigError` for a network whose weights would be refused at loading."""
-    torch.set_num_threads(1)  # workers may be forked later, which threads of PyTorch would not survive
-    size = len(files.tensor_bytes(files.weights_of(make_network(config))))
-    network = config.network
-    if size > files.MOST_POLICY_BYTES:
-        raise ConfigError(
-            f"network.width: {network.width} (grid_channels {network.grid_channels}, lstm {network.lstm}) makes a file "
-            f"of {size} bytes of weights, at most {files.MOST_POLICY_BYTES}"
-        )

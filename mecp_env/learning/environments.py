@@ -20,7 +20,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.core.processes import cores
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.downsampled import DownsampledObservation
+from mecp_env.learning.fits import DownsampledObservation
 from mecp_env.learning.sb3_batch import SB3Batch
 from mecp_env.policies.rollout import CoverageCurve
 from mecp_env.vector import BatchEnv

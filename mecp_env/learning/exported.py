@@ -20,10 +20,9 @@ from pydantic import BeforeValidator
 
 from mecp_env.config import ObservationConfig, as_section
 from mecp_env.core.carriers import Bools
-from mecp_env.core.errors import ConfigError
+from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
-from mecp_env.learning.files import check_finite
 from mecp_env.learning.fits import Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
 from mecp_env.policies.registry import statistics_of
 
@@ -44,6 +43,10 @@ ALGORITHMS = {  # the first module or setting of these that a zip names -> "modu
 }
 ANY = "stable_baselines3:PPO"
 Network = Callable[[Any], Any]  # from an observation, or its parts by name, each with a first axis of 1, to the output
+
+
+class NotFiniteError(MecpError):
+    """Training made a weight infinite or NaN: such weights are not kept."""
 
 
 class StockConfig(Settings):
@@ -142,6 +145,18 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     found = fit(seen, algorithm.action_space, str(path))
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
     return ModelPolicy(StockModel(algorithm, preparation(path), config.deterministic), found, str(path), parts)
+
+
+def weights_of(policy: Any) -> dict[str, Any]:
+    """The parameters of a policy by name, each once."""
+    return {name: parameter.detach() for name, parameter in policy.named_parameters()}
+
+
+def check_finite(policy: Any) -> None:
+    """Raise `NotFiniteError` for a policy with a weight that is infinite or NaN."""
+    for name, weight in weights_of(policy).items():
+        if not bool(weight.isfinite().all()):
+            raise NotFiniteError(f"weights: {name} is not finite any more; a smaller ppo.learning_rate?")
 
 
 def check_archive(archive: zipfile.ZipFile, most_bytes: int) -> None:

@@ -2,32 +2,40 @@
 
 A policy is built from its configuration and then receives its weights, which are tensors and nothing else. A model
 file of Stable-Baselines3 (a zip with a pickle) is code: it is refused unless the caller trusts it.
+
+Weights are kept as safetensors, tensors only, with checksums; the files are complete or absent.
 """
 
 from __future__ import annotations
 
+import hashlib
+import json
 import re
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import safetensors
+import safetensors.torch
 import torch
+from torch import Tensor, nn
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.files import write_atomic
 from mecp_env.core.settings import guess
-from mecp_env.learning import files
 from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
-from mecp_env.learning.downsampled import downsample
 from mecp_env.learning.encoder import make_network
-from mecp_env.learning.exported import StockModel, load_script, load_zip
-from mecp_env.learning.files import POLICY
-from mecp_env.learning.fits import Fit, ModelPolicy, batched
+from mecp_env.learning.exported import StockModel, check_finite, load_script, load_zip, weights_of
+from mecp_env.learning.fits import Fit, ModelPolicy, batched, downsample
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
 EXPECTED = "a run folder, or a model file (.zip of Stable-Baselines3, .pt of TorchScript, .onnx) expected"
-MOST_BYTES = files.MOST_POLICY_BYTES
+MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy
+POLICY = "policy.json"  # of a run folder: names the file of the weights, with its checksum
+NAME_LENGTH = 12  # of the checksum in the name of a file of weights
 
 
 class LearnedPolicy(ModelPolicy):
@@ -61,7 +69,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
         raise ConfigError(f"policy: {path} is a folder without {CONFIG}, so no run of mecp-env train; {EXPECTED}")
     config = TrainConfig.build(read_config(folder / CONFIG))
     network = make_network(config)
-    files.put_weights(network, *read_weights(folder, config))
+    put_weights(network, *read_weights(folder, config))
     return LearnedPolicy(network, config, str(path))
 
 
@@ -98,4 +106,72 @@ def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Pat
     name, sha256 = about.get("file"), about.get("sha256")
     if not isinstance(name, str) or not isinstance(sha256, str) or not FILE_NAME.fullmatch(name):
         raise WeightError(f"{folder / POLICY}: expected the name of a file in this folder and its SHA-256")
-    return files.read_tensors(folder / name, sha256, MOST_BYTES), folder / name
+    return read_tensors(folder / name, sha256, MOST_POLICY_BYTES), folder / name
+
+
+def write_json(path: Path, value: Any) -> None:
+    """Write a value as JSON, atomically."""
+    write_atomic(path, (json.dumps(value, indent=2) + "\n").encode())
+
+
+def checksum(data: bytes) -> str:
+    """SHA-256 of some bytes, as text."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def read_tensors(path: Path, sha256: str, most_bytes: int) -> dict[str, Tensor]:
+    """The tensors in a file. Raises `WeightError` when it is missing, too large, or has another checksum or format."""
+    try:
+        size = path.stat().st_size
+        if size > most_bytes:
+            raise WeightError(f"{path}: {size} bytes, at most {most_bytes}")
+        data = path.read_bytes()
+    except OSError as error:
+        raise WeightError(f"{path}: {error.strerror}") from None
+    if checksum(data) != sha256:
+        raise WeightError(f"{path}: its SHA-256 is {checksum(data)}, expected {sha256}: damaged or modified")
+    try:
+        tensors: dict[str, Tensor] = safetensors.torch.load(data)
+    except (safetensors.SafetensorError, ValueError, KeyError) as error:
+        raise WeightError(f"{path}: not a safetensors file: {error}") from None
+    return tensors
+
+
+def tensor_bytes(tensors: Mapping[str, Tensor]) -> bytes:
+    """A safetensors file of some tensors."""
+    plain = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
+    return bytes(safetensors.torch.save(plain))
+
+
+def put_weights(policy: nn.Module, weights: dict[str, Tensor], path: Path) -> None:
+    """Give a policy its weights. Raises `WeightError` unless names, shapes and types are those of its parameters."""
+    mine = weights_of(policy)
+    found, expected = (
+        {name: f"{tuple(tensor.shape)} {tensor.dtype}" for name, tensor in tensors.items()}
+        for tensors in (weights, mine)
+    )
+    wrong = sorted(name for name in found | expected if found.get(name) != expected.get(name))
+    if wrong:
+        difference = f"{wrong[0]} is {found.get(wrong[0], 'missing')}, expected {expected.get(wrong[0], 'none')}"
+        raise WeightError(f"{path}: of another architecture, {difference} (and {len(wrong) - 1} more)")
+    for name, given in weights.items():
+        if not bool(given.isfinite().all()):
+            raise WeightError(f"{path}: {name} is not finite")
+    for name, parameter in mine.items():
+        parameter.copy_(weights[name])
+
+
+def save_policy(folder: Path, policy: nn.Module, algorithm: str, facts: Mapping[str, Any]) -> None:
+    """Write weights, then `policy.json`, which names them with their checksum, then remove older ones.
+
+    Raises `NotFiniteError`; the previous weights then stay.
+    """
+    check_finite(policy)
+    data = tensor_bytes(weights_of(policy))
+    sha256 = checksum(data)
+    name = f"policy-{sha256[:NAME_LENGTH]}.safetensors"
+    write_atomic(folder / name, data)
+    write_json(folder / POLICY, {"algorithm": algorithm, "file": name, "sha256": sha256, "bytes": len(data), **facts})
+    for old in folder.glob("policy-*.safetensors"):
+        if old.name != name:
+            old.unlink()

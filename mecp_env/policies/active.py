@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError
-from mecp_env.policies.gain import Gain, NextBestView
+from mecp_env.policies.explorers import Gain, NextBestView
 from mecp_env.policies.registry import GAIN, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, Mask, choices, of_kind
 
 Floats = NDArray[np.float32]

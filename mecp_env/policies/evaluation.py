@@ -1,8 +1,8 @@
-"""Policies compared in the same buildings, from the same start poses.
+"""Policies compared in the same buildings, from the same start poses: episodes, and one row of metrics per policy.
 
-Everything is measured in metres and simulated time, so that every machine gives the same result.
-
-All policies side by side in the same building, from the same start, in the same simulated time.
+Everything is measured in metres and simulated time, so that every machine gives the same result. Metrics have 95 %
+intervals, and differences are paired by building. What a return says of the map: lost episodes against the others of
+the same building, and correct coverage. Trainings that differ in their seed only are taken together.
 """
 
 from __future__ import annotations
@@ -10,7 +10,8 @@ from __future__ import annotations
 import csv
 import json
 import platform
-from collections.abc import Generator, Sequence
+import re
+from collections.abc import Generator, Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
@@ -19,60 +20,169 @@ from pathlib import Path
 import numpy as np
 
 from mecp_env.core.budget import BUDGET_M_PER_M2
-from mecp_env.core.carriers import Bytes
+from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import write_atomic
-from mecp_env.core.intervals import Figures
+from mecp_env.core.intervals import Figures, correlation, estimate, over_runs, ratio, share
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
-from mecp_env.policies.comparison import Row, compare, returns_of, rows_of, seeds_of, timing
-from mecp_env.policies.registry import Policy, make_policy, policy_checksum, source_of
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, Info, make_rooms, run_episode, run_policy, try_action
+from mecp_env.policies.registry import Policy, policy_checksum, source_of
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode, try_action
 from mecp_env.policies.setting import Setting, plan_names
-from mecp_env.render.film import Film
-from mecp_env.render.screen import thumbnail
 
-PANEL = (320, 290)  # px
-ACROSS = 3  # panels in a row
-MOST_FRAMES, EVERY = 64, 4  # of a policy, and steps between the first of them
-LONGEST = 900  # steps: longer episodes are cut
-FIRST = 0, 0  # building and seed
-
-
-def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
-    """Write the film of all policies in one building as a GIF; long episodes are cut."""
-    shorter = replace(setting, max_steps=min(setting.max_steps, LONGEST))
-    films = [record(policy, shorter, trust) for policy in policies]
-    every = max(film.every for film in films)
-    last = max(film.every * (len(film.frames) - 1) for film in films)
-    whole = Film()
-    for step in range(0, last + every, every):  # an episode that is over stays at its last picture
-        whole.frames.append(mosaic([film.frames[min(-(-step // film.every), len(film.frames) - 1)] for film in films]))
-    whole.save(path)
+MEANS = (
+    *("correct_over_steps", "correct_over_metres", "correct_coverage"),
+    *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "periods_to_99%", "coverage", "metres", "periods"),
+    *("decisions", "reward", "pose_error_mean_m", "pose_error_final_m", "log_det_mean", "map_rmse_m"),
+    *("landmarks", "landmarks_false", "duplicates", "contacts"),
+)
+SHARES = ("reached_90%", "reached_99%", "complete", "terminated", "lost", "diverged")
+COMPARED = (
+    *("correct_over_steps", "correct_over_metres", "correct_coverage", "lost"),
+    *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete"),
+)
+KNOWN = {"truth": "with_the_pose_known", "known": "with_known_correspondences"}  # what is known: key of the difference
+NUMBERED = re.compile(r"(.+)-\d+")  # a run among several that differ in their seed
+SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 
 
-def record(policy: str, setting: Setting, trust: bool = False) -> Film:
-    """What the robot believes at every n-th step of an exploration, and at its end, with time, metres and coverage."""
-    made, film = make_policy(policy, trust), Film(MOST_FRAMES, EVERY)
-    env = make_rooms(setting, made)
-    period_s = env.get_wrapper_attr("config").robot.period_s
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """The episodes of one policy with one estimator, in the order of the buildings."""
 
-    def picture(info: Info, ended: str = "") -> Bytes:
-        """The belief below time, metres and coverage."""
-        words = f"{period_s * info['period']:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
-        return thumbnail(env.get_wrapper_attr("view")(), PANEL, policy, words)
+    policy: str
+    estimator: str
+    episodes: tuple[EpisodeResult, ...]
 
-    end = run_policy(env, made, lambda info: film.offer(info["period"], lambda: picture(info)), FIRST)
-    film.frames.append(picture(end.info, "    ..." if end.info["goals"] else "    done"))
-    env.close()
-    return film
+    def values(self, name: str) -> Array:
+        """(n,) one metric, building by building."""
+        return np.array([episode.figures[name] for episode in self.episodes])
+
+    def curves(self) -> Array:
+        """(n,61) the coverage of each building at shares of its budget of metres."""
+        return np.array([e.curve.at(SHARES_OF_BUDGET * e.figures["budget_m"]) for e in self.episodes])
 
 
-def mosaic(pictures: list[Bytes]) -> Bytes:
-    """The pictures in rows of three; missing ones have the colour of their border."""
-    across = min(ACROSS, len(pictures))
-    filled = pictures + [np.full_like(pictures[0], pictures[0][0, 0])] * (-len(pictures) % across)
-    return np.vstack([np.hstack(filled[i : i + across]) for i in range(0, len(filled), across)])
+def rows_of(episodes: Iterable[EpisodeResult], order: Sequence[tuple[str, str]]) -> list[Row]:
+    """A row per policy and estimator of `order`, over the buildings that all those with any episode have finished."""
+    found: dict[tuple[str, str], dict[int, EpisodeResult]] = {key: {} for key in order}
+    for episode in episodes:
+        found[episode.task.policy, episode.task.setting.estimator][episode.task.building] = episode
+    started = {key: results for key, results in found.items() if results}
+    common = sorted(set.intersection(*map(set, started.values()))) if started else []
+    return [Row(*key, tuple(results[building] for building in common)) for key, results in started.items() if common]
+
+
+def figures_of(row: Row) -> Figures:
+    """All metrics of a row."""
+    figures: Figures = {name: estimate(row.values(name)) for name in MEANS}
+    figures |= {name: share(row.values(name) > 0.5) for name in SHARES}
+    if row.estimator == "truth":
+        figures["log_det_mean"] = estimate([])  # a known pose has no covariance
+    return figures | {
+        "rooms_found": ratio(row.values("rooms_found"), row.values("rooms")),
+        "doors_found": ratio(row.values("doors_found"), row.values("doors")),
+        "contacts_per_100_m": ratio(100.0 * row.values("contacts"), row.values("metres")),
+    }
+
+
+def difference(row: Row, other: Row) -> Figures:
+    """`row` minus `other` in the same buildings: means of paired differences with their intervals."""
+    return {name: estimate(row.values(name) - other.values(name)) for name in COMPARED}
+
+
+def compare(rows: Sequence[Row], reference: str) -> list[Figures]:
+    """Each row as JSON data: its metrics, its difference to the reference, and the cost of uncertainty.
+
+    The reference is the row of that policy with the same estimator; the cost of uncertainty, in rows with
+    `estimator="truth"`, is that row minus the row of the same policy without the ground-truth pose; the cost of wrong
+    correspondences, in rows with `estimator="known"`, likewise.
+    """
+    return [with_differences(row, rows, reference) for row in rows]
+
+
+def with_differences(row: Row, rows: Sequence[Row], reference: str) -> Figures:
+    """One row as JSON data."""
+    page: Figures = {"policy": row.policy, "estimator": row.estimator, "figures": figures_of(row)}
+    first = next((other for other in rows if (other.policy, other.estimator) == (reference, row.estimator)), row)
+    if first is not row:
+        page["against_reference"] = difference(row, first)
+    estimated = next((other for other in rows if other.policy == row.policy), row)
+    if estimated is not row and row.estimator in KNOWN:
+        page[KNOWN[row.estimator]] = difference(row, estimated)
+    return page | {"curve": [estimate(column) for column in row.curves().T]}
+
+
+def timing(rows: Sequence[Row]) -> dict[str, float]:
+    """Decisions per second of CPU time, by policy: the only figures that another run does not repeat."""
+    rates: dict[str, float] = {}
+    for row in rows:
+        seconds = sum(episode.act_s for episode in row.episodes)
+        rates.setdefault(row.policy, float(row.values("decisions").sum() / max(seconds, 1e-9)))
+    return rates
+
+
+def seeds_of(rows: Sequence[Row]) -> list[Figures]:
+    """A part for each group of runs `NAME-0`, `NAME-1`, ...: `policy` (`NAME-*`), `seeds`, `figures`, `differences`.
+
+    `differences`, by the name of another group or policy, are means of the runs minus that, in the same buildings, with
+    intervals over runs and buildings. Only rows of one estimator, which the caller selects, can be compared.
+    """
+    together = by_name(rows)
+    groups = {name: runs for name, runs in together.items() if len(runs) > 1}
+    return [
+        {
+            "policy": name,
+            "estimator": runs[0].estimator,
+            "seeds": len(runs),
+            "figures": differences(runs, []),
+            "differences": {other: differences(runs, row) for other, row in together.items() if other != name},
+        }
+        for name, runs in groups.items()
+    ]
+
+
+def by_name(rows: Sequence[Row]) -> dict[str, list[Row]]:
+    """The rows under `NAME-*` where two or more are called `NAME-NUMBER`, the others under their own names."""
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        numbered = NUMBERED.fullmatch(row.policy)
+        found.setdefault(f"{numbered[1]}-*" if numbered else row.policy, []).append(row)
+    return {name if len(runs) > 1 else runs[0].policy: runs for name, runs in found.items()}
+
+
+def differences(runs: Sequence[Row], others: Sequence[Row]) -> Figures:
+    """The compared metrics: mean of the runs, minus that of the others where there are any."""
+    return {name: over_runs(of_all(runs, name), of_all(others, name) if others else None) for name in COMPARED}
+
+
+def returns_of(rows: Sequence[Row]) -> Figures:
+    """The returns of the lost episodes and of the others, and what returns say of correct coverage.
+
+    `lost`, `others`, `difference` and `ratio` (lost over others) are over the buildings in which some policy was lost
+    and another one was not, the mean of each kind in each building; `correlation` is Pearson's, of the return with
+    correct coverage at the end, over all episodes. Each is {value, low, high, n}, intervals over buildings.
+    """
+    returns, correct, lost = (of_all(rows, name) for name in ("reward", "correct_coverage", "lost"))
+    mixed = (lost > 0.5).any(axis=0) & (lost < 0.5).any(axis=0)
+    of_lost, of_others = (mean_where(which[:, mixed], returns[:, mixed]) for which in (lost > 0.5, lost < 0.5))
+    return {
+        "lost": estimate(of_lost),
+        "others": estimate(of_others),
+        "difference": estimate(of_lost - of_others),
+        "ratio": ratio(of_lost, of_others),
+        "correlation": correlation(returns, correct),
+    }
+
+
+def of_all(rows: Sequence[Row], name: str) -> Array:
+    """(p,n) a metric of each row in each building."""
+    return np.stack([row.values(name) for row in rows]) if rows else np.zeros((0, 0))
+
+
+def mean_where(which: Bools, values: Array) -> Array:
+    """(n,) the mean of each column over the rows of `which` (p,n) bool, at least one."""
+    return np.array(np.where(which, values, 0.0).sum(axis=0) / which.sum(axis=0))
 
 
 @dataclass(slots=True, eq=False)

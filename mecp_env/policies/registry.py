@@ -63,8 +63,8 @@ def rows_where(wanted: Bools, observation: dict[str, Any], mask: Mask) -> Ints:
 EXPLORERS = {  # name -> "module:Class", constructed without arguments
     "bfs": "mecp_env.policies.explorers:BreadthFirstPolicy",
     "nearest": "mecp_env.policies.explorers:Nearest",
-    "next_best_view": "mecp_env.policies.gain:NextBestView",
-    "gain": "mecp_env.policies.gain:Gain",
+    "next_best_view": "mecp_env.policies.explorers:NextBestView",
+    "gain": "mecp_env.policies.explorers:Gain",
     "pause": "mecp_env.policies.active:Pause",
     "returning": "mecp_env.policies.active:Returning",
     "stachniss": "mecp_env.policies.active:Stachniss",

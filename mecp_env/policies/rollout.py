@@ -79,19 +79,17 @@ class CoverageCurve:
         values: Array = np.array(self.coverage)[rows]
         return values
 
-    def first(self, level: float) -> int | None:
-        """Index of the first point with that coverage; None when it was never reached."""
-        return next((row for row, coverage in enumerate(self.coverage) if coverage >= level), None)
-
     def metres_to(self, level: float, otherwise: float) -> float:
         """Metres to a coverage, at most `otherwise`, also where it was never reached (for a restricted mean)."""
-        row = self.first(level)
-        return otherwise if row is None else min(self.metres[row], otherwise)
+        return self._reached(self.metres, level, otherwise)
 
     def steps_to(self, level: float, otherwise: float) -> float:
         """Control steps to a coverage, at most `otherwise`, also where it was never reached."""
-        row = self.first(level)
-        return otherwise if row is None else min(float(self.steps[row]), otherwise)
+        return self._reached(self.steps, level, otherwise)
+
+    def _reached(self, at: Sequence[float], level: float, otherwise: float) -> float:
+        places = (place for place, coverage in zip(at, self.coverage, strict=True) if coverage >= level)
+        return float(min(next(places, otherwise), otherwise))
 
 
 @dataclass(frozen=True, slots=True)

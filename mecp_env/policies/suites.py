@@ -18,10 +18,10 @@ from mecp_env.core.files import read_json
 from mecp_env.core.intervals import Figures
 from mecp_env.core.provenance import checksum, checksum_of_parts, commit
 from mecp_env.core.settings import few, guess
-from mecp_env.policies.comparison import Row, figures_of
+from mecp_env.policies.evaluation import Row, figures_of
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import Policy
-from mecp_env.policies.report_table import cell, markdown_table
+from mecp_env.policies.report import cell, markdown_table
 from mecp_env.policies.rollout import make_rooms, options_of
 from mecp_env.policies.setting import Setting
 

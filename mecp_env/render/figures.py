@@ -68,6 +68,12 @@ def is_drawn(artist: Artist | Any) -> bool:
     return len(artist.get_paths()) > 0 if isinstance(artist, Collection) else True
 
 
+def open_axes(axes: Axes) -> None:
+    """A light grid, and no frame at the top and at the right."""
+    axes.grid(alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+
+
 def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
     """Write a figure as PNG without the date, so that the same figure gives the same file."""
     with boxes_for_missing_glyphs():
@@ -214,8 +220,7 @@ def _draw_band(axes: Axes) -> None:
 def _dress(axes: Axes, label: str) -> None:
     axes.set_ylabel(label, fontsize=9)
     axes.set_xlabel("time, s", fontsize=9)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.grid(alpha=0.25)
+    open_axes(axes)
     axes.tick_params(labelsize=8)
     names = drawn(axes)
     if names["handles"]:

@@ -18,7 +18,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.render import palette
-from mecp_env.render.replay.recorder import DECISIONS, KINDS, REASONS, REWARD
+from mecp_env.render.replay import DECISIONS, KINDS, REASONS, REWARD
 from mecp_env.render.shapes import CHI2_95, SceneView, cell_colours, door_lines, loops, magnification, positions
 from mecp_env.slam.messages import LANDMARK, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput

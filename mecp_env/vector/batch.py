@@ -12,10 +12,17 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from numpy.typing import NDArray
 
 from mecp_env.core.processes import Failure, WorkerDied
-from mecp_env.vector.checks import Seeds, check_copy, check_ids, check_integer, check_mode, check_options, check_seeds
-from mecp_env.vector.hosted import HostedEnvs
-from mecp_env.vector.shared_buffers import ALONE, INFO, MASK, RESULT, copied, info_names
-from mecp_env.vector.worker import Info, Infos, Makers
+from mecp_env.vector.hosted import (
+    HostedEnvs,
+    Seeds,
+    check_copy,
+    check_ids,
+    check_integer,
+    check_mode,
+    check_options,
+    check_seeds,
+)
+from mecp_env.vector.worker import ALONE, INFO, MASK, RESULT, Info, Infos, Makers, copied, info_names
 
 Add = Callable[[Info, Info, int], Info]  # Gymnasium's own `_add_info`
 Bools = NDArray[np.bool_]

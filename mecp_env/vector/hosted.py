@@ -1,6 +1,6 @@
 """Environments in this and in worker processes: how they are started, asked for anything but steps, and closed.
 
-Environments under way in the asynchronous interface: which they are, and what has come back of them.
+What a user gives to a batch, checked: seeds, options of a reset, the autoreset mode, counts, copies.
 
 One exploration, by which compiled functions are loaded before workers are forked.
 """
@@ -13,7 +13,7 @@ import functools
 import itertools
 import multiprocessing
 import weakref
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 import gymnasium
@@ -22,63 +22,106 @@ from gymnasium import spaces
 from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
 
-from mecp_env.core.processes import Failure, WorkerDied, cores, start_method
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.processes import WorkerDied, cores, start_method
 from mecp_env.core.worker_pool import WorkerPool
 from mecp_env.env import MecpEnv
+from mecp_env.episode.start import check_seed
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.vector.checks import check_integer
-from mecp_env.vector.shared_buffers import OBSERVATION, RECORD, Fields, below, lay_out, memory_bytes, plan_fields
-from mecp_env.vector.worker import Info, Makers, WorkerEnvironments
+from mecp_env.vector.worker import (
+    OBSERVATION,
+    RECORD,
+    Fields,
+    Flights,
+    Makers,
+    WorkerEnvironments,
+    below,
+    lay_out,
+    memory_bytes,
+    plan_fields,
+)
 from mecp_env.wrappers import GoalActions
 
+Seeds = int | Sequence[int | None] | None
+MASK = "reset_mask"
 
-class Flights:
-    """Sends single environments to their workers, and collects results in the order in which they are finished."""
 
-    def __init__(self, pool: WorkerPool, slices: Sequence[range]) -> None:
-        self._pool = pool
-        self._worker = {env: number for number, own in enumerate(slices) for env in own}
-        self._flying = set[int]()
-        self._landed: dict[int, Info | Failure] = {}
+def check_mode(mode: str | AutoresetMode) -> AutoresetMode:
+    """The autoreset mode of that name. Raises `ValueError`."""
+    try:
+        return AutoresetMode(mode)
+    except ValueError:
+        names = ", ".join(repr(known.value) for known in AutoresetMode)
+        raise ValueError(f"autoreset_mode: {mode!r}, expected one of {names}") from None
 
-    def __len__(self) -> int:
-        """How many environments were sent and not yet taken."""
-        return len(self._flying) + len(self._landed)
 
-    def check_free(self, envs: Iterable[int], what: str) -> None:
-        """Raise `AlreadyPendingCallError` for environments that are under way."""
-        busy = sorted((self._flying | self._landed.keys()).intersection(envs)) if len(self) else []
-        if busy:
-            raise AlreadyPendingCallError(f"{what} while environments {busy} are under way: recv() them first", "send")
+def check_integer(name: str, value: Any, most: int | None = None, otherwise: str = "") -> int:
+    """`value` itself. Raises `ValueError` unless it is an integer from 1 to `most`."""
+    if not _is_integer(value) or value < 1 or (most is not None and value > most):
+        bounds = "of at least 1" if most is None else f"from 1 to {most}"
+        raise ValueError(f"{name}: {value!r:.80}, expected an integer {bounds}{otherwise}")
+    return int(value)
 
-    def send(self, name: str, items: Mapping[int, tuple[Any, ...]]) -> None:
-        """Let the workers do `name`, "step" or "reset", with the arguments of each environment. Raises `WorkerDied`."""
-        parts: dict[int, list[tuple[int, tuple[Any, ...]]]] = {}
-        for env, arguments in items.items():
-            parts.setdefault(self._worker[env], []).append((env, arguments))
-        self._flying.update(items)
-        for worker, part in parts.items():
-            self._pool.post(worker, "run", name, part)
 
-    def take(self, count: int) -> dict[int, Info | Failure]:
-        """The `count` environments that were finished first, by number; or one of them alone that failed.
+def check_ids(ids: Any, count: int) -> NDArray[np.intp]:
+    """The numbers of environments (n,). Raises `ValueError` for what is no number, out of range, or given twice."""
+    numbers = np.arange(count) if ids is None else np.asarray(ids)
+    expected = f"expected different numbers of environments from 0 to {count - 1}"
+    if numbers.ndim != 1 or not numbers.size or not np.issubdtype(numbers.dtype, np.integer):
+        raise ValueError(f"env_ids: {ids!r:.80}, {expected}")
+    if numbers.min() < 0 or numbers.max() >= count or len(np.unique(numbers)) < len(numbers):
+        raise ValueError(f"env_ids: {numbers.tolist()!r:.80}, {expected}")
+    return numbers.astype(np.intp)
 
-        Raises `WorkerDied`.
-        """
-        while len(self._landed) < count:
-            for answer in self._pool.arrived():
-                self._land(answer)
-        envs = sorted(list(self._landed)[:count])
-        failed = [env for env in envs if isinstance(self._landed[env], Failure)]
-        return {env: self._landed.pop(env) for env in failed[:1] or envs}
 
-    def _land(self, answer: dict[int, Info | Failure] | Failure) -> None:
-        if isinstance(answer, Failure):  # an answer that could not be sent: nothing is known of its environments
-            answer.error.add_note(answer.note)
-            raise answer.error
-        self._flying -= answer.keys()
-        self._landed |= answer
+def check_copy(copy: bool) -> bool:
+    """`copy` itself. Raises `ValueError` unless it is a boolean; the text "no" is not one."""
+    if not isinstance(copy, bool | np.bool_):
+        raise ValueError(f"copy: {copy!r:.80}, expected True or False")
+    return bool(copy)
+
+
+def check_seeds(seed: Seeds, count: int) -> list[int | None]:
+    """A seed for each environment: `seed + i` of a number, the entries of a list. Raises `ValueError`."""
+    expected = f"expected an integer, or one for each of {count} environments"
+    if seed is None or _is_integer(seed):
+        first = _checked_seed(seed, expected)
+        return [None if first is None else first + i for i in range(count)]
+    if not isinstance(seed, Sequence | np.ndarray):
+        raise ValueError(f"seed: {seed!r:.80}, {expected}")
+    if len(seed) != count:
+        raise ValueError(f"seed: {len(seed)} of them, {expected}")
+    return [_checked_seed(entry, expected) for entry in seed]
+
+
+def _checked_seed(entry: Any, expected: str) -> int | None:
+    try:
+        return check_seed(entry)
+    except ConfigError as error:
+        raise ConfigError(f"{error}; {expected}") from None
+
+
+def _is_integer(value: Any) -> bool:
+    return isinstance(value, int | np.integer) and not isinstance(value, bool)
+
+
+def check_options(options: dict[str, Any] | None, count: int) -> tuple[dict[str, Any] | None, NDArray[np.bool_]]:
+    """The options for each environment, and which environments to reset (N,). Raises `TypeError`, `ValueError`."""
+    if options is None or MASK not in options:
+        return options, np.ones(count, np.bool_)
+    mask = _checked_mask(options[MASK], count)
+    return {name: value for name, value in options.items() if name != MASK} or None, mask.copy()
+
+
+def _checked_mask(mask: Any, count: int) -> NDArray[np.bool_]:
+    if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
+        kind = f"an array of {mask.dtype}" if isinstance(mask, np.ndarray) else type(mask).__name__
+        raise TypeError(f"options[{MASK!r}]: {kind}, expected a NumPy array of bool")
+    if mask.shape != (count,) or not mask.any():
+        raise ValueError(f"options[{MASK!r}]: {mask!r:.80}, expected shape ({count},) and at least one True")
+    return mask
 
 
 def explore(layout: str) -> None:

@@ -1,35 +1,126 @@
-"""A worker of a batch: a process that holds some of the environments and steps them one after another."""
+"""A worker of a batch: a process that holds some of the environments and steps them one after another.
+
+Shared memory of a batch: arrays of observations and masks, and a record of each environment with all its numbers.
+
+Environments under way in the asynchronous interface: which they are, and what has come back of them.
+"""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.error import AlreadyPendingCallError
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 from mecp_env.core import processes
 from mecp_env.core.processes import Failure
-from mecp_env.vector.shared_buffers import (
-    ALONE,
-    MASK,
-    OBSERVATION,
-    RECORD,
-    RESULT,
-    Fields,
-    SharedBuffers,
-    below,
-    info_names,
-    lay_out,
-)
+from mecp_env.core.worker_pool import WorkerPool
 
+ALIGNMENT = 64  # bytes; a line of the processor's cache
+OBSERVATION, INFO = "observation/", "info/"  # prefixes of the names of fields, and of the numbers in a record
+MASK, RECORD = "mask", "record"
+RESULT = ("reward", "terminated", "truncated", "listed")  # first in a record; `listed`: its info has all keys
+ALONE = ""  # the name of an observation that is no Dict
 Makers = Sequence[Callable[[], gymnasium.Env[Any, Any]]]
 Info = dict[str, Any]
 Infos = dict[int, Info]  # by number of the environment: the part of its info that has no place in the buffers
 Result = tuple[float, bool, bool]  # reward, terminated, truncated
 NOTHING: Result = (0.0, False, False)  # of a reset
 ANSWER_S = 0.004  # while there is more to do, what is finished is reported so often; an answer costs 0.1 ms
+
+
+@dataclass(frozen=True, slots=True)
+class Field:
+    """An array of the shared buffers: a row for each environment."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype[Any]
+
+    @property
+    def bytes(self) -> int:
+        return int(np.prod(self.shape)) * self.dtype.itemsize
+
+
+Fields = dict[str, Field]
+SharedBuffers = dict[str, NDArray[Any]]
+
+
+def plan_fields(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks: int) -> Fields:
+    """The fields for `n` environments with an observation space, an `info` as theirs, and masks of so many choices.
+
+    Raises `ValueError` for an observation space that is neither a Box nor a Dict of them.
+    """
+    rows: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
+    rows = {OBSERVATION + name: (box.shape, np.dtype(box.dtype)) for name, box in boxes(space).items()}
+    rows |= {MASK: ((masks,), np.dtype(np.bool_)), RECORD: ((), record_type(info))}
+    return {name: Field((n, *shape), dtype) for name, (shape, dtype) in rows.items()}
+
+
+def record_type(info: Mapping[str, Any]) -> np.dtype[Any]:
+    """The numbers of one environment, side by side: reward, ends, and the numbers of its info."""
+    kinds: list[Any] = list(zip(RESULT, ("f8", "?", "?", "?"), strict=True))
+    kinds += [(INFO + name, number.dtype, number.shape) for name, number in numbers(info).items()]
+    return np.dtype(kinds, align=True)
+
+
+def info_names(record: np.dtype[Any]) -> list[str]:
+    """The keys of an info that a record holds."""
+    return [name.removeprefix(INFO) for name in record.names or () if name.startswith(INFO)]
+
+
+def boxes(space: spaces.Space[Any]) -> dict[str, spaces.Box]:
+    """The parts of an observation space by name. Raises `ValueError` for what is neither Box nor Dict of Box."""
+    parts = dict(space.spaces) if isinstance(space, spaces.Dict) else {ALONE: space}
+    for name, part in parts.items():
+        if not isinstance(part, spaces.Box):
+            raise ValueError(
+                f"observation space{name and f' {name!r}'}: {part!r:.80}, a batch takes Box, or Dict of Box"
+            )
+    return parts  # type: ignore[return-value]
+
+
+def numbers(info: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
+    """The entries of an info that are numbers, or arrays of numbers; the others travel by message."""
+    kinds = (bool, int, float, np.number, np.bool_, np.ndarray)
+    given = {name: np.asarray(value) for name, value in info.items() if isinstance(value, kinds)}
+    return {name: value for name, value in given.items() if value.dtype.kind in "biuf"}
+
+
+def memory_bytes(fields: Fields) -> int:
+    """How much memory the fields need."""
+    return sum(_padded(field) for field in fields.values())
+
+
+def lay_out(fields: Fields, memory: Any) -> SharedBuffers:
+    """The arrays of the fields in a block of memory, the same in every process."""
+    buffers, offset = {}, 0
+    for name, field in fields.items():
+        count = int(np.prod(field.shape))
+        flat = np.frombuffer(memory, field.dtype, count, offset) if count else np.zeros(0, field.dtype)
+        buffers[name] = flat.reshape(field.shape)
+        offset += _padded(field)
+    return buffers
+
+
+def below(buffers: SharedBuffers, prefix: str) -> SharedBuffers:
+    """The arrays whose names have the `prefix`, by the rest of their names."""
+    return {name.removeprefix(prefix): array for name, array in buffers.items() if name.startswith(prefix)}
+
+
+def copied(records: NDArray[Any]) -> NDArray[Any]:
+    """A copy of records (n,) as a whole; NumPy copies them field by field."""
+    return records.view(np.uint8).copy().view(records.dtype)
+
+
+def _padded(field: Field) -> int:
+    return -(-field.bytes // ALIGNMENT) * ALIGNMENT
 
 
 class WorkerEnvironments:
@@ -157,3 +248,51 @@ class WorkerEnvironments:
     def _show_mask(self, place: int) -> None:
         if self._masks and self._started[place]:
             self._buffers[MASK][self.first + place] = self._masks[place]()
+
+
+class Flights:
+    """Sends single environments to their workers, and collects results in the order in which they are finished."""
+
+    def __init__(self, pool: WorkerPool, slices: Sequence[range]) -> None:
+        self._pool = pool
+        self._worker = {env: number for number, own in enumerate(slices) for env in own}
+        self._flying = set[int]()
+        self._landed: dict[int, Info | Failure] = {}
+
+    def __len__(self) -> int:
+        """How many environments were sent and not yet taken."""
+        return len(self._flying) + len(self._landed)
+
+    def check_free(self, envs: Iterable[int], what: str) -> None:
+        """Raise `AlreadyPendingCallError` for environments that are under way."""
+        busy = sorted((self._flying | self._landed.keys()).intersection(envs)) if len(self) else []
+        if busy:
+            raise AlreadyPendingCallError(f"{what} while environments {busy} are under way: recv() them first", "send")
+
+    def send(self, name: str, items: Mapping[int, tuple[Any, ...]]) -> None:
+        """Let the workers do `name`, "step" or "reset", with the arguments of each environment. Raises `WorkerDied`."""
+        parts: dict[int, list[tuple[int, tuple[Any, ...]]]] = {}
+        for env, arguments in items.items():
+            parts.setdefault(self._worker[env], []).append((env, arguments))
+        self._flying.update(items)
+        for worker, part in parts.items():
+            self._pool.post(worker, "run", name, part)
+
+    def take(self, count: int) -> dict[int, Info | Failure]:
+        """The `count` environments that were finished first, by number; or one of them alone that failed.
+
+        Raises `WorkerDied`.
+        """
+        while len(self._landed) < count:
+            for answer in self._pool.arrived():
+                self._land(answer)
+        envs = sorted(list(self._landed)[:count])
+        failed = [env for env in envs if isinstance(self._landed[env], Failure)]
+        return {env: self._landed.pop(env) for env in failed[:1] or envs}
+
+    def _land(self, answer: dict[int, Info | Failure] | Failure) -> None:
+        if isinstance(answer, Failure):  # an answer that could not be sent: nothing is known of its environments
+            answer.error.add_note(answer.note)
+            raise answer.error
+        self._flying -= answer.keys()
+        self._landed |= answer

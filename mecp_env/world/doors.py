@@ -1,13 +1,13 @@
-"""Doors of a building: which way each leads, and those that are closed for an episode.
+"""Doors and rooms of a building: which way doors lead, which are closed in an episode, and figures of both.
 
-Which way a door leads, where the layout file leaves it to the wall.
-
-Doors closed for an episode: they become wall, and what lies behind them is not part of the building.
+Where the layout file does not say which way a door leads, its wall and rooms do. Closed doors become wall, and what
+lies behind them is not part of the building.
 """
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -19,6 +19,10 @@ from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.world.config import ClutterConfig
 from mecp_env.world.outline import GAP_POST_M, Outline, build_outline, wall_lines
 from mecp_env.world.schema import DoorSpec, Layout, RoomSpec, Solid, Start
+
+START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
+LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable
+NARROW = 3.0  # smallest ratio of length to width of a corridor
 
 
 def with_directions(layout: Layout) -> Layout:
@@ -52,10 +56,6 @@ def _leads(door: DoorSpec, direction_deg: float, step_m: float, rooms: tuple[Roo
     return sum(name in floors and floors[name].contains(Point(point)) for name, point in points.items())
 
 
-START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
-LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable
-
-
 def draw_closed(outline: Outline, start: Array, config: ClutterConfig, rng: np.random.Generator) -> Ints:
     """Which doors are closed: each with the probability `config.closed_doors`, as long as enough rooms are left.
 
@@ -79,10 +79,16 @@ def draw_closed(outline: Outline, start: Array, config: ClutterConfig, rng: np.r
 
 def _rooms_left(outline: Outline, is_open: Bools, home: int) -> int:
     """How many rooms can be reached from room `home` through the open doors."""
+    _, group = _joined(outline, is_open)
+    return int(np.sum(group == group[home]))
+
+
+def _joined(outline: Outline, is_open: Bools) -> tuple[int, Ints]:
+    """Into how many groups the open doors join the rooms, and the group (r,) of each room."""
     count, (one, other) = len(outline.rooms), outline.doors.rooms[is_open].T
     graph = csr_array((np.ones(len(one)), (one, other)), shape=(count, count))
-    _, group = connected_components(graph, directed=False)
-    return int(np.sum(group == group[home]))
+    groups, group = connected_components(graph, directed=False)
+    return int(groups), np.asarray(group, np.int64)
 
 
 def close_doors(layout: Layout, closed: Ints, start: Array) -> Layout:
@@ -107,3 +113,51 @@ def _leaf(door: DoorSpec) -> Solid:
     along = (0.5 * door.width_m + GAP_POST_M) * np.array([-math.sin(heading), math.cos(heading)])
     ring = door.centre + np.stack([-through - along, through - along, through + along, along - through])
     return Solid(outer=tuple((float(x), float(y)) for x, y in ring))
+
+
+@dataclass(frozen=True, slots=True)
+class BuildingFigures:
+    """Counts and measures of one building; what cannot be reached from its first start is not counted as floor."""
+
+    rooms: int
+    doors: int
+    loops: int  # doors that could be removed without disconnecting a room
+    floor_m2: float
+    faces: int  # straight faces of walls and obstacles visible to a laser
+    corners: int
+    obstacles: int
+    longest_corridor_m: float  # the longest room that is narrow, 0 without one
+    width_m: float  # along x
+    height_m: float  # along y
+
+
+def building_figures(layout: Layout) -> BuildingFigures:
+    """The figures of a checked layout."""
+    outline = build_outline(layout)
+    x0, y0, x1, y1 = outline.bounds
+    return BuildingFigures(
+        rooms=len(outline.rooms),
+        doors=len(outline.doors),
+        loops=_loops(outline),
+        floor_m2=float(outline.free_area.area),
+        faces=len(outline.segments),
+        corners=len(outline.corners),
+        obstacles=len(layout.obstacles),
+        longest_corridor_m=max(map(_corridor_m, outline.rooms)),
+        width_m=x1 - x0,
+        height_m=y1 - y0,
+    )
+
+
+def _loops(outline: Outline) -> int:
+    """Independent rings of the graph of rooms and doors."""
+    doors = len(outline.doors)
+    groups, _ = _joined(outline, np.ones(doors, np.bool_))
+    return doors - len(outline.rooms) + groups
+
+
+def _corridor_m(room: Polygon) -> float:
+    """Length of a room that is narrow, else 0."""
+    ring = np.array(room.minimum_rotated_rectangle.exterior.coords)
+    length = float(np.linalg.norm(np.diff(ring[:3], axis=0), axis=1).max())
+    return length if length**2 >= NARROW * room.area else 0.0

@@ -1,4 +1,4 @@
-"""Compiled motion of the robot: its wheels, walls, and when pymunk has to resolve contacts between bodies."""
+"""Compiled motion of the robot and of boxes: wheels, walls, friction, and when pymunk has to resolve contacts."""
 
 from __future__ import annotations
 
@@ -10,14 +10,18 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.jit import compiled
 from mecp_env.world.config import RobotConfig
-from mecp_env.world.faces import from_face, leave_boxes
-from mecp_env.world.pedestrians import PACE, RADIUS, X, Y, walk
+from mecp_env.world.moving_obstacles import BOX_CORNERS
+from mecp_env.world.pedestrians import PACE, RADIUS, X, Y, from_face, walk
 
 TOUCH_M = 1e-3  # a body in contact stays this deep in the wall, or the next substep would not see the contact
 SPARE_M = 0.05  # what is pushed may be a little faster than the robot drives
 PUSHED_M_S = 1e-6  # a contact is what changes the velocity by more than this
 ROUNDS = 50  # of leaving one wall after another; two are enough, but not in an acute corner
 ROUNDING_M_S = 1e-12  # a velocity into a wall below this is a rounding error
+DECELERATION = 1.5  # m/s^2, of a box that slides on felt
+TURN_DECELERATION = 8.0  # rad/s^2
+DEEPEST_M = 0.05  # what is deeper in a wall is behind it
+BOX_ROUNDS = 4  # of moving a box out of one wall after another
 
 # The course (11,), scratch memory of a control step: the command; the pose at the last reading; the velocity and turn
 # rate that the wheels aim at in the substep that pymunk makes next; the velocity and turn rate that came of it
@@ -252,3 +256,74 @@ def may_touch(obstacles: MovingBodies, state: Array, limits: RobotLimits, subste
             apart = math.hypot(pedestrians[i, X] - box_discs[j, 0], pedestrians[i, Y] - box_discs[j, 1])
             met[i] = met[i] or (pushed[j] and apart < reach + box_discs[j, 2])
     return met, pushed
+
+
+@compiled
+def slide_boxes(segments: Array, boxes: Array, sizes: Array, dt: float) -> None:
+    """The floor slows the boxes (b,6) down for a substep, and the faces (S,2,2) that they entered push them out.
+
+    A box leaves a face that it entered by at most `DEEPEST_M`.
+    """
+    for i in range(boxes.shape[0]):
+        speed, turn = math.hypot(boxes[i, 3], boxes[i, 4]), abs(boxes[i, 5])
+        share = max(1.0 - DECELERATION * dt / max(speed, 1e-9), 0.0)
+        boxes[i, 3], boxes[i, 4] = share * boxes[i, 3], share * boxes[i, 4]
+        boxes[i, 5] *= max(1.0 - TURN_DECELERATION * dt / max(turn, 1e-9), 0.0)
+    for _ in range(BOX_ROUNDS):
+        for i in range(boxes.shape[0]):
+            for k in range(segments.shape[0]):
+                _leave_face(segments[k], boxes[i], sizes[i])
+
+
+@compiled
+def _leave_face(face: Array, box: Array, size: Array) -> None:
+    """Move the box (6,) until none of its corners is behind the face (2,2) and the face does not start in it."""
+    reach = 0.5 * math.hypot(size[0], size[1])
+    low_x, high_x = min(face[0, 0], face[1, 0]) - reach, max(face[0, 0], face[1, 0]) + reach
+    low_y, high_y = min(face[0, 1], face[1, 1]) - reach, max(face[0, 1], face[1, 1]) + reach
+    if not (low_x < box[0] < high_x and low_y < box[1] < high_y):
+        return
+    ux, uy = face[1, 0] - face[0, 0], face[1, 1] - face[0, 1]
+    length = math.hypot(ux, uy)
+    c, s = math.cos(box[2]), math.sin(box[2])
+    for corner in range(4):
+        along, aside = BOX_CORNERS[corner, 0] * size[0], BOX_CORNERS[corner, 1] * size[1]
+        x, y = box[0] + c * along - s * aside, box[1] + s * along + c * aside
+        ahead = ((x - face[0, 0]) * ux + (y - face[0, 1]) * uy) / length
+        behind = ((y - face[0, 1]) * ux - (x - face[0, 0]) * uy) / -length
+        if 0.0 < ahead < length and 0.0 < behind < DEEPEST_M:
+            box[0] -= behind * uy / length
+            box[1] += behind * ux / length
+    dx, dy = face[0, 0] - box[0], face[0, 1] - box[1]
+    along, aside = c * dx + s * dy, c * dy - s * dx
+    deep_along, deep_aside = 0.5 * size[0] - abs(along), 0.5 * size[1] - abs(aside)
+    if min(deep_along, deep_aside) <= 0.0 or min(deep_along, deep_aside) >= DEEPEST_M:
+        return
+    if deep_along < deep_aside:
+        push = -math.copysign(deep_along, along)
+        box[0] += push * c
+        box[1] += push * s
+    else:
+        push = -math.copysign(deep_aside, aside)
+        box[0] -= push * s
+        box[1] += push * c
+
+
+@compiled
+def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> bool:
+    """Pushes the robot's position out of boxes nearer than `radius`; returns whether there was none."""
+    free = True
+    for i in range(boxes.shape[0]):
+        c, s = math.cos(boxes[i, 2]), math.sin(boxes[i, 2])
+        dx, dy = state[0] - boxes[i, 0], state[1] - boxes[i, 1]
+        along, aside = c * dx + s * dy, c * dy - s * dx
+        near_along = min(max(along, -0.5 * sizes[i, 0]), 0.5 * sizes[i, 0])
+        near_aside = min(max(aside, -0.5 * sizes[i, 1]), 0.5 * sizes[i, 1])
+        off_along, off_aside = along - near_along, aside - near_aside
+        distance = math.hypot(off_along, off_aside)
+        if 1e-9 < distance < radius - 1e-9:
+            push = radius / distance - 1.0
+            state[0] += push * (c * off_along - s * off_aside)
+            state[1] += push * (s * off_along + c * off_aside)
+            free = False
+    return free

@@ -1,25 +1,62 @@
-"""Layouts by name, path, dict or object: read, checked, and refused with the field, the value and the bound."""
+"""Layouts by name, path, dict or object: read, checked, and refused with the field, the value and the bound.
+
+What a layout must be as geometry: simple rooms, doors in walls between their rooms, free starts, rooms in reach.
+"""
 
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from functools import cache
+from itertools import chain, islice
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from shapely.geometry import LineString, Point, Polygon
+
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.files import exists, read_bytes, text_of
-from mecp_env.core.settings import guess
-from mecp_env.world.checks import check_geometry
+from mecp_env.core.settings import MOST_TOLD, guess
 from mecp_env.world.doors import with_directions
-from mecp_env.world.schema import Layout
+from mecp_env.world.outline import (
+    GAP_POST_M,
+    ROBOT_RADIUS_M,
+    Doors,
+    Outline,
+    build_outline,
+    door_ring,
+    obstacle_shape,
+    reachable,
+    solid_shape,
+    wall_lines,
+)
+from mecp_env.world.schema import DoorSpec, Layout
+
+__all__ = ["MAX_BYTES", "Layout", "load_layout", "shipped_layouts"]
+
+Walls = tuple[shapely.STRtree, list[LineString], Array]  # with the thickness of each
 
 LIBRARY = Path(__file__).parent / "library"
 MAX_BYTES = 2_000_000
-
-__all__ = ["MAX_BYTES", "Layout", "load_layout", "shipped_layouts"]
+ON_LINE_M = 0.01
+SQUARE_DEG = 1.0
+OVERLAP_M2 = 0.01
+GRID_M = 1e-6  # without a grid, GEOS reports rooms that touch along a slanted wall as one inside the other
+DOORSTEP_M = 0.15  # points this close to a room's border may be in its doorway
+MAX_CROSSINGS = 10_000  # pairs of walls, obstacles and solids that touch
+MAX_TOUCHING = 10_000  # pairs of rooms that touch
+MAX_NEAR, NEAR_M = 100_000, 0.44  # pairs of faces so close to each other; many make the robot's reach slow to compute
+MAX_BOXES = 1_000_000  # pairs with touching bounding boxes; each counts twice, and with itself
+CHUNK = 100
+OPEN_SHARE = 0.9  # of a doorway that is a gap
+SHARED_SHARE = 0.1  # of the smaller of two doorways if one is a gap; two cuts may not touch
 
 
 def shipped_layouts() -> tuple[str, ...]:
@@ -92,3 +129,178 @@ def _unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     if len(document) < len(pairs):
         raise ValueError(f"{Counter(key for key, _ in pairs).most_common(1)[0][0]:.80}: given twice")
     return document
+
+
+def check_geometry(layout: Layout) -> Outline:
+    """The outline of `layout`. Raises LayoutError with the fields, the values and the bounds of what is impossible.
+
+    All that is wrong with shapes is told at once; if nothing is, all that is wrong with rooms and doors; and so on.
+    """
+    rooms = [Polygon(room.polygon) for room in layout.rooms]
+    solids, obstacles = [solid_shape(solid) for solid in layout.solids], list(map(obstacle_shape, layout.obstacles))
+    _refuse(_not_simple({"rooms.{}.polygon": rooms, "solids.{}": solids, "obstacles.{}.points": obstacles}))
+    _close_pairs(np.array([*wall_lines(layout)[0], *obstacles, *solids]), MAX_CROSSINGS, "walls")
+    _refuse(chain(_wrong_rooms(layout, np.array(rooms)), _wrong_doors(layout)))
+    try:
+        outline = build_outline(layout)
+        _refuse(chain(_doors_that_touch(outline.doors), _wrong_gaps(outline), _wrong_starts(outline)))
+        _close_pairs(shapely.linestrings(outline.segments[~outline.round]), MAX_NEAR, "walls: faces", NEAR_M)
+        _refuse(_out_of_reach(outline))
+    except shapely.errors.GEOSException as error:
+        raise LayoutError(f"walls: their union cannot be computed ({error})") from None
+    return outline
+
+
+def _refuse(faults: Iterable[str]) -> None:
+    """Raise LayoutError for the first few `faults`, with the number of the others."""
+    told = list(faults)
+    if told:
+        more = [f"and {len(told) - MOST_TOLD} more"] if len(told) > MOST_TOLD else []
+        raise LayoutError("; ".join(told[:MOST_TOLD] + more))
+
+
+def _not_simple(shapes: Mapping[str, list[Polygon]]) -> Iterator[str]:
+    for field, some in shapes.items():
+        for i in np.flatnonzero(~shapely.is_valid(some)).tolist():
+            yield f"{field.format(i)}: not a simple polygon ({shapely.is_valid_reason(some[i])})"
+
+
+def _wrong_rooms(layout: Layout, shapes: NDArray[np.object_]) -> Iterator[str]:
+    """Rooms have different names, and do not overlap."""
+    first: dict[str, int] = {}
+    for i, room in enumerate(layout.rooms):
+        if first.setdefault(room.name, i) != i:
+            yield f"rooms.{i}.name: {room.name!r} is the name of rooms.{first[room.name]} too"
+    one, other = _close_pairs(shapes, MAX_TOUCHING, "rooms")
+    with np.errstate(all="ignore"):  # of coordinates such as 1e-230 the area is right, but flags are set
+        shared = shapely.area(shapely.intersection(shapes[one], shapes[other], grid_size=GRID_M))
+    for pair in np.flatnonzero(shared > OVERLAP_M2).tolist():
+        what = f"shares {shared[pair]:.2f} m2 with rooms.{other[pair]}, at most {OVERLAP_M2} m2"
+        yield f"rooms.{one[pair]}.polygon: {what}"
+
+
+def _close_pairs(shapes: NDArray[np.object_], most: int, field: str, near_m: float = 0.0) -> tuple[Ints, Ints]:
+    """The pairs i > j of shapes that touch, or within `near_m` of each other. Raises LayoutError for too many."""
+    tree, pairs = shapely.STRtree(shapes), [np.empty((2, 0), np.int64)]
+    boxes = close = 0
+    for first in range(0, len(shapes), CHUNK):
+        some = shapes[first : first + CHUNK]
+        boxes += tree.query(some).shape[1]
+        if boxes <= MAX_BOXES:
+            found = tree.query(some, predicate="dwithin" if near_m else "intersects", distance=near_m) + np.array(
+                [[first], [0]]
+            )
+            pairs.append(found[:, found[0] > found[1]])
+            close += pairs[-1].shape[1]
+        if boxes > MAX_BOXES or close > most:
+            bounds = f"at most {most} pairs, of the boxes around them at most {MAX_BOXES}"
+            raise LayoutError(f"{field}: too many within {near_m:g} m of each other, {bounds}")
+    i, j = np.concatenate(pairs, axis=1)
+    return i, j
+
+
+def _wrong_doors(layout: Layout) -> Iterator[str]:
+    """Doors join two rooms; one that is cut is in a wall. The first fault of each."""
+    lines, thickness = wall_lines(layout)
+    tree = shapely.STRtree(lines)
+    floors = {room.name: Polygon(room.polygon) for room in layout.rooms}
+    for i, door in enumerate(layout.doors):
+        yield from islice(_wrong_door(door, f"doors.{i}", floors, (tree, lines, thickness)), 1)
+
+
+def _wrong_door(door: DoorSpec, field: str, floors: Mapping[str, Polygon], walls: Walls) -> Iterator[str]:
+    for side, name in enumerate(door.rooms):
+        if name not in floors:
+            yield f"{field}.rooms.{side}: no room is called {name!r}{guess(name, floors)}"
+            return
+    tree, lines, thickness = walls
+    depth = door.depth_m
+    if depth is None:
+        nearest = int(tree.nearest(Point(door.centre)))
+        depth = thickness[nearest]
+        yield from _off_its_wall(door, lines[nearest], field)
+    yield from _not_between(floors, door, depth, field)
+
+
+def _off_its_wall(door: DoorSpec, wall: LineString, field: str) -> Iterator[str]:
+    """The door lies with its whole width in one straight wall, and is square to it."""
+    off = wall.distance(Point(door.centre))
+    if off > ON_LINE_M:
+        yield f"{field}.centre: {door.centre} is {off:.3f} m off the nearest wall, at most {ON_LINE_M} m"
+    (x0, y0), (x1, y1) = wall.coords
+    square = math.degrees(math.atan2(y1 - y0, x1 - x0) - door.heading) + 90.0
+    if abs((square + 90.0) % 180.0 - 90.0) > SQUARE_DEG:
+        yield f"{field}.direction_deg: {door.direction_deg:g} is not square to its wall"
+    widest = 2.0 * min(math.dist(door.centre, end) for end in wall.coords)
+    if door.width_m > widest:
+        yield f"{field}.width_m: {door.width_m:g} is wider than its wall allows, at most {widest:.3f} m"
+
+
+def _not_between(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float, field: str) -> Iterator[str]:
+    """A point in front of the door is in the first room, a point behind it in the second."""
+    step = thickness / 2.0 + 0.05
+    ahead = step * np.array([math.cos(door.heading), math.sin(door.heading)])
+    for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
+        if not floors[name].contains(Point(point)):
+            beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
+            yield f"{field}.centre: {door.centre} is not between its rooms, {beside}"
+
+
+def _doors_that_touch(doors: Doors) -> Iterator[str]:
+    """No two doorways overlap: there are jambs between two doors."""
+    rings = shapely.polygons(np.array([door_ring(doors, i, 0.0) for i in range(len(doors))]).reshape(-1, 4, 2))
+    one, other = _close_pairs(rings, MAX_TOUCHING, "doors")
+    shared = shapely.area(shapely.intersection(rings[one], rings[other]))
+    most = SHARED_SHARE * np.minimum(shapely.area(rings[one]), shapely.area(rings[other]))
+    cuts = ~(doors.gap[one] | doors.gap[other])
+    for pair in np.flatnonzero(cuts | (shared > most)).tolist():
+        given = f"{doors.centre[one[pair]].round(3).tolist()}, {doors.width[one[pair]]:g} m wide"
+        yield f"doors.{one[pair]}.centre: {given}, touches the doorway of doors.{other[pair]}"
+
+
+def _wrong_gaps(outline: Outline) -> Iterator[str]:
+    """A gap is open, and there is a wall at either end of its width."""
+    gaps = np.flatnonzero(outline.doors.gap).tolist()
+    rings = np.array([door_ring(outline.doors, i, 0.0) for i in gaps]).reshape(-1, 4, 2)
+    ends = np.stack([rings[:, :2].mean(axis=1), rings[:, 2:].mean(axis=1)], axis=1)
+    off = _from_faces(outline, ends.reshape(-1, 2)).reshape(-1, 2).max(axis=1)
+    free = outline.free_area
+    shapely.prepare(free)
+    for i, gap, far in zip(gaps, shapely.polygons(rings), off.tolist(), strict=True):
+        open_share = 1.0 if free.covers(gap) else free.intersection(gap).area / gap.area
+        if open_share < OPEN_SHARE:
+            yield f"doors.{i}: {open_share:.2f} of the gap is open, at least {OPEN_SHARE}"
+        if far > GAP_POST_M:
+            yield f"doors.{i}.width_m: an end is {far:.2f} m from a wall, at most {GAP_POST_M} m"
+
+
+def _from_faces(outline: Outline, points: Array) -> Array:
+    """Distance (n,) m of points (n,2) from the nearest face."""
+    tree = shapely.STRtree(shapely.linestrings(outline.segments))
+    _, far = tree.query_nearest(shapely.points(points), all_matches=False, return_distance=True)
+    distances: Array = far
+    return distances
+
+
+def _wrong_starts(outline: Outline) -> Iterator[str]:
+    points = outline.starts[:, :2]
+    inside = shapely.contains_xy(outline.free_area, points)
+    for i, clearance in enumerate(_from_faces(outline, points).tolist()):
+        given = f"starts.{i}.point: {points[i].tolist()}"
+        if not inside[i]:
+            yield f"{given} lies inside a wall or cut off from starts.0"
+        elif clearance < ROBOT_RADIUS_M:
+            yield f"{given} is {clearance:.3f} m from a wall, at least {ROBOT_RADIUS_M}"
+
+
+def _out_of_reach(outline: Outline) -> Iterator[str]:
+    """Every room, every door and every start can be reached by the robot's centre from the first start."""
+    reach = reachable(outline)
+    shapely.prepare(reach)
+    lost = ~shapely.intersects(reach, shapely.buffer(outline.rooms, -DOORSTEP_M))
+    for i in np.flatnonzero(lost):
+        yield f"rooms.{i}: {outline.room_names[i]!r} cannot be reached by a radius of {ROBOT_RADIUS_M} m"
+    for i in np.flatnonzero(~shapely.intersects(reach, shapely.points(outline.doors.centre))):
+        yield f"doors.{i}: too narrow or blocked for a radius of {ROBOT_RADIUS_M} m"
+    for i in np.flatnonzero(~shapely.dwithin(reach, shapely.points(outline.starts[:, :2]), ON_LINE_M)):
+        yield f"starts.{i}.point: {outline.starts[i, :2].tolist()} cannot be reached from starts.0"

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from mecp_env.core import grid_paths
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.world.faces import from_face
 
 MARGIN_M = 0.05  # error of the raster
 COMFORT_M, WALL_COST = 0.7, 3.0  # closer to walls than this a path costs more, up to this factor
@@ -211,6 +210,15 @@ def crowding(
             near = (3.0 if gap < 0.0 else 1.0 - gap / berth) * (1.0 - 0.8 * time / HORIZON_S) + max(-gap, 0.0)
             cost += weight * near
     return cost
+
+
+@compiled
+def from_face(segments: Array, k: int, x: float, y: float) -> tuple[float, float]:
+    """Vector to (x, y) from the nearest point of face k."""
+    ax, ay = segments[k, 0, 0], segments[k, 0, 1]
+    ux, uy = segments[k, 1, 0] - ax, segments[k, 1, 1] - ay
+    share = min(max(((x - ax) * ux + (y - ay) * uy) / (ux * ux + uy * uy), 0.0), 1.0)
+    return x - ax - share * ux, y - ay - share * uy
 
 
 @compiled

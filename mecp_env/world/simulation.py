@@ -37,9 +37,9 @@ from mecp_env.world.drive import (
     faces_within,
     furthest,
     may_touch,
+    slide_boxes,
     wall_distance,
 )
-from mecp_env.world.faces import slide_boxes
 from mecp_env.world.moving_obstacles import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
 from mecp_env.world.pedestrians import MOVES, RADIUS, VX, VY, X, Y

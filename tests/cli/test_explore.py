@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.exit_codes import run_command
+from mecp_env.cli.base import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.world.layout import LIBRARY

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks.__main__ import parser
 from mecp_env.cli import main as cli
-from mecp_env.cli.base import LISTS, gathered
+from mecp_env.cli.base import LISTS, Line
 from mecp_env.config import REWARDS
 
 Captured = pytest.CaptureFixture[str]
@@ -32,9 +32,11 @@ def test_the_lists_are_those_of_the_commands(capsys: Captured) -> None:
 def test_words_of_an_option_add_up_in_their_order() -> None:
     for option in LISTS:
         line = ["here", option, "a", "-1", "--seed", "1", f"{option}=b", "2", "--out", "x", option, "c"]
-        assert gathered(line) == ["here", option, "a", "-1", "b", "2", "c", "--seed", "1", "--out", "x"]
-    others = ["bfs", "--seed", "1", "--seed=2", "--no-truth", "--door-width-m", "1", "2"]
-    assert gathered(others) == others
+        assert Line(line).gathered() == ("here", option, "a", "-1", "b", "2", "c", "--seed", "1", "--out", "x")
+    others = Line(["bfs", "--seed", "1", "--seed=2", "--no-truth", "--door-width-m", "1", "2"])
+    assert others.gathered() == others
+    assert others.named() == ["seed", "no_truth", "door_width_m"]
+    assert others.first_words("--seed") == ["1", "2"]
 
 
 @pytest.mark.parametrize(
@@ -53,7 +55,7 @@ def test_words_of_an_option_add_up_in_their_order() -> None:
 def test_a_command_has_all_words(words: str, line: str, path: str, value: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(REWARDS, "others", ["a", "b"])
     monkeypatch.setattr(cli, "import_modules", lambda names: None)
-    found: Any = cli.parse(words, line.split())
+    found: Any = cli.parse(words, Line(line.split()))
     for name in path.split("."):
         found = getattr(found, name)
     assert found == value if value is not None else len(found) == 2

@@ -15,6 +15,7 @@ from PIL import Image
 
 import mecp_env
 from mecp_env.cli import main as cli
+from mecp_env.cli.base import Line
 from mecp_env.cli.demo import Demo
 from mecp_env.cli.options import Fields, configuration
 from mecp_env.cli.runs import Run
@@ -244,10 +245,10 @@ def test_the_overview_loads_no_command_and_the_package_runs_as_a_module() -> Non
 def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> None:
     fields = Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
     line = ["--config.laser.preset", "lms200", "--config.slam.filter.kind=ekf"]
-    config = configuration("office", fields, line)
+    config = configuration("office", fields, Line(line))
     assert (config.layout, config.slam.filter.kind) == ("office", "ekf")
     assert config.estimator_config.sensor.range_sigma_m == pytest.approx(0.01)
-    assert configuration("two_rooms", Fields(), []) == EnvConfig(layout="two_rooms")
+    assert configuration("two_rooms", Fields(), Line()) == EnvConfig(layout="two_rooms")
 
 
 def test_a_field_set_to_its_default_is_set() -> None:

@@ -10,7 +10,7 @@ import pygame
 import pytest
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.buildings import expand
+from mecp_env.cli.options import expand
 from mecp_env.cli.play import Game, later
 from mecp_env.env import MecpEnv
 from mecp_env.render import palette

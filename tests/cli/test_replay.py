@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from mecp_env.cli.main import main
-from mecp_env.render.replay import read_page
+from mecp_env.render.replay_page import read_page
 
 pytestmark = pytest.mark.usefixtures("draft_figures")
 

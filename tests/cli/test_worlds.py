@@ -12,8 +12,9 @@ import pytest
 from PIL import Image
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.buildings import Reading, expand
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.cli.options import Reading, expand
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from tests.floorplans import plans
 

@@ -24,7 +24,7 @@ ITEMS = {  # JSON values of the least text for the most memory
 PLAN = "from mecp_env.floorplans import load_plan; read = lambda path: load_plan(path, resolution_m=0.05)"
 LOG = "from mecp_env.logs import read_log as read"
 READERS = {  # kind -> name of the file, and what reads it
-    "page": ("a.html", "from mecp_env.render.replay import read_page as read"),
+    "page": ("a.html", "from mecp_env.render.replay_page import read_page as read"),
     "map": ("a.zip", "from mecp_env.slam import SlamPipeline; read = SlamPipeline.from_map"),
     "log": ("a.log", LOG),
     "packed_log": ("a.log.gz", LOG),

@@ -153,14 +153,14 @@ def test_an_interrupt_that_python_would_lose_ends_the_command(script: str) -> No
 
 
 CAUGHT = """
-from mecp_env.cli.exit_codes import at_end, run_command
+from mecp_env.cli.base import at_end, run_command
 def work():
     try: signal.raise_signal(signal.SIGINT)
     except BaseException: return 0
 sys.exit(at_end(run_command(work)))
 """
 LATE = """
-from mecp_env.cli.exit_codes import at_end
+from mecp_env.cli.base import at_end
 import atexit
 atexit.register(signal.raise_signal, signal.SIGINT)
 sys.exit(at_end(0))

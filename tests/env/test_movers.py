@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from mecp_env.core.snapshot import StateError
-from mecp_env.world.generator import GeneratorSpec, generate, split_seed
+from mecp_env.world.config import GeneratorSpec, split_seed
+from mecp_env.world.generator import generate
 from tests.env.helpers import drive, make, same, world_of
 
 BUSY = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 3, "closed_doors": 0.3}, "layout": "paper"}

@@ -11,7 +11,8 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import StateError
-from mecp_env.world.generator import SPLITS, GeneratorSpec, generate, split_seed
+from mecp_env.world.config import SPLITS, GeneratorSpec, split_seed
+from mecp_env.world.generator import generate
 from mecp_env.world.outline import build_outline
 from tests.env.helpers import same
 

@@ -13,7 +13,8 @@ import mecp_env
 from mecp_env.core.errors import ConfigError, SensorError
 from mecp_env.core.se2 import between, composed
 from mecp_env.evaluation.calibration import FIELDS, Calibration, calibrate_log
-from mecp_env.evaluation.calibration.motions import (
+from mecp_env.evaluation.log_run import config_for, run_log
+from mecp_env.evaluation.scan_motions import (
     ALONG,
     NOTHING,
     SIDE,
@@ -27,7 +28,6 @@ from mecp_env.evaluation.calibration.motions import (
     told,
     with_tails,
 )
-from mecp_env.evaluation.log_run import config_for, run_log
 from mecp_env.logs.log import Log
 from mecp_env.logs.odometry_model import OdometryModel, measured
 from mecp_env.world.config import OdometryConfig

@@ -17,8 +17,6 @@ from mecp_env.evaluation.ground_truth import (
     DynamicObstacles,
     GroundTruth,
     correct_coverage,
-)
-from mecp_env.evaluation.map_scores import (
     distances,
     door_centres,
     doors_found,
@@ -30,9 +28,9 @@ from mecp_env.evaluation.map_scores import (
 )
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.slam.messages import Cell
-from mecp_env.world.faces import box_corners, moving_faces
 from mecp_env.world.laser import line_of_sight
 from mecp_env.world.layout import load_layout
+from mecp_env.world.moving_obstacles import box_corners, moving_faces
 from mecp_env.world.outline import build_outline, random_free_pose
 from tests.env.helpers import episode_of, make
 from tests.slam.make import belief, corners, door, graph, grid, match, output

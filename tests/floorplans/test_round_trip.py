@@ -19,7 +19,8 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import FREE, OCCUPIED, UNKNOWN, save_map_server, save_svg
 from mecp_env.slam.messages import Cell, SemanticGrid
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline, thin_walls_m
 from mecp_env.world.schema import Layout, Pillar

@@ -8,7 +8,7 @@ from PIL import Image
 
 pytest.importorskip("stable_baselines3")
 
-from mecp_env.learning.run_log import draw_training, measured, running_mean
+from mecp_env.learning.run_folder import draw_training, measured, running_mean
 
 PROGRESS = "decisions,reward,correct_coverage,lost\n512,,,\n1024,-3.5,0.4,1\n1536,2.0,0.7,0.5\n"
 EVALUATION = "decisions,reward,correct_coverage,lost\n0,1.0,0.6,0.5\n"

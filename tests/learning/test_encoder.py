@@ -10,14 +10,13 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
-from mecp_env.learning.downsampled import downsample, downsampled_space  # noqa: E402
 from mecp_env.learning.encoder import (  # noqa: E402
     make_network,
     of_rows,
     used_rows,
 )
-from mecp_env.policies.explorers import Nearest  # noqa: E402
-from mecp_env.policies.gain import NextBestView  # noqa: E402
+from mecp_env.learning.fits import downsample, downsampled_space  # noqa: E402
+from mecp_env.policies.explorers import Nearest, NextBestView  # noqa: E402
 from tests.learning.training import batch, logits, quick, shaken  # noqa: E402
 
 

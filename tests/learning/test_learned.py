@@ -16,11 +16,11 @@ pytest.importorskip("safetensors")
 
 from mecp_env.cli import main as cli  # noqa: E402
 from mecp_env.core.errors import ConfigError  # noqa: E402
-from mecp_env.learning import files  # noqa: E402
+from mecp_env.learning import exported, learned  # noqa: E402
 from mecp_env.learning.config import WeightError  # noqa: E402
 from mecp_env.learning.encoder import make_network  # noqa: E402
-from mecp_env.learning.files import NotFiniteError, save_policy, write_json  # noqa: E402
-from mecp_env.learning.learned import load  # noqa: E402
+from mecp_env.learning.exported import NotFiniteError  # noqa: E402
+from mecp_env.learning.learned import load, save_policy, write_json  # noqa: E402
 from mecp_env.policies.registry import KIND, PLACE, VALID, WAIT, WEIGHTS, choices, shipped  # noqa: E402
 from tests.learning.training import quick  # noqa: E402
 
@@ -46,7 +46,7 @@ def weights(folder):
 def put(folder, data=b"", **fields):
     """Other weights with a checksum that belongs to them; other fields of `policy.json`."""
     weights(folder).write_bytes(data)
-    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": files.checksum(data)}
+    about = {"algorithm": "maskable_ppo", "file": weights(folder).name, "sha256": learned.checksum(data)}
     write_json(folder / "policy.json", about | fields)
 
 
@@ -70,7 +70,7 @@ def test_a_file_that_is_damaged_or_too_large_is_refused_before_it_is_read(folder
     data[-1] ^= 1
     path.write_bytes(data)
     refused(folder, r"SHA-256 is .*, expected")
-    monkeypatch.setattr("mecp_env.learning.learned.MOST_BYTES", 100)
+    monkeypatch.setattr("mecp_env.learning.learned.MOST_POLICY_BYTES", 100)
     refused(folder, "at most 100")
 
 
@@ -95,7 +95,7 @@ def test_weights_that_are_not_finite_are_refused(folder):
         next(policy.parameters()).fill_(float("nan"))
     with pytest.raises(NotFiniteError):
         save_policy(folder, policy, "maskable_ppo", {})
-    put(folder, files.tensor_bytes(files.weights_of(policy)))
+    put(folder, learned.tensor_bytes(exported.weights_of(policy)))
     refused(folder, "not finite")
 
 

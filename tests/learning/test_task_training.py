@@ -17,11 +17,11 @@ pytest.importorskip("safetensors")
 from mecp_env.core.errors import ConfigError  # noqa: E402
 from mecp_env.episode.tasks import TASKS  # noqa: E402
 from mecp_env.learning.config import TrainConfig  # noqa: E402
-from mecp_env.learning.downsampled import downsampled_space  # noqa: E402
 from mecp_env.learning.encoder import make_network  # noqa: E402
 from mecp_env.learning.environments import make_env  # noqa: E402
+from mecp_env.learning.fits import downsampled_space  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.warm_start import check_teacher  # noqa: E402
+from mecp_env.learning.train import check_teacher  # noqa: E402
 from mecp_env.policies.active import Active, Returning, Stachniss  # noqa: E402
 from mecp_env.policies.registry import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
 from mecp_env.policies.rollout import options_of  # noqa: E402

@@ -17,15 +17,20 @@ from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.config import REWARDS  # noqa: E402
 from mecp_env.episode.potentials import register_reward  # noqa: E402
-from mecp_env.learning import files  # noqa: E402
+from mecp_env.learning import learned  # noqa: E402
 from mecp_env.learning.config import ALGORITHMS  # noqa: E402
-from mecp_env.learning.encoder import check_size, make_model  # noqa: E402
+from mecp_env.learning.encoder import make_model  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.run_folder import MOST_BYTES, RunFolder, TrainingState, load_checkpoint  # noqa: E402
-from mecp_env.learning.run_log import RunLog  # noqa: E402
+from mecp_env.learning.run_folder import (  # noqa: E402
+    MOST_BYTES,
+    RunFolder,
+    RunLog,
+    TrainingState,
+    load_checkpoint,
+)
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
-from mecp_env.learning.warm_start import warm_start  # noqa: E402
+from mecp_env.learning.train import check_size, warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402
 from tests.learning.training import QUICK, ROOT, checkpoints, quick, run, start, weights_in, write_config  # noqa: E402
 
@@ -121,7 +126,7 @@ def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
     RunFolder(tmp_path, config).save(model, TrainingState())
     (path,) = checkpoints(tmp_path)
     size = sum(weight.numel() * 4 for weight in model.policy.parameters())
-    assert size > 0.9 * files.MOST_POLICY_BYTES
+    assert size > 0.9 * learned.MOST_POLICY_BYTES
     assert path.stat().st_size < MOST_BYTES
     assert load_checkpoint(path, model)
     venv.close()

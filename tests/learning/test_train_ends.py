@@ -24,10 +24,13 @@ from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_f
 
 from mecp_env.core.processes import cores  # noqa: E402
 from mecp_env.core.work_units import FailedUnit  # noqa: E402
-from mecp_env.learning import train, warm_start  # noqa: E402
+from mecp_env.learning import train  # noqa: E402
 from mecp_env.learning.environments import vectorise  # noqa: E402
-from mecp_env.learning.run_folder import RunFolder  # noqa: E402
-from mecp_env.learning.run_log import Table, read_rows  # noqa: E402
+from mecp_env.learning.run_folder import (  # noqa: E402
+    RunFolder,
+    Table,
+    read_rows,
+)
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.learning.test_learned import Payload  # noqa: E402
 from tests.learning.training import QUICK, ROOT, checkpoints, quick, resume, run  # noqa: E402
@@ -59,7 +62,7 @@ def test_what_ends_a_run_is_one_line(place, error, code, said, tmp_path, capsys,
 @pytest.mark.parametrize("after", [1, 3])
 def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path, capsys, monkeypatch):
     """While the teacher plays, and between two epochs: a resumed run starts the warm start again."""
-    asked, plain = count(), warm_start.warm_start
+    asked, plain = count(), train.warm_start
 
     def stopped(model, venv, config, log, stop):
         def pressed():
@@ -79,10 +82,10 @@ def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path,
 
 def test_lessons_come_in_order_and_an_episode_of_the_teacher_that_fails_is_named(monkeypatch):
     def lessons(*results):
-        monkeypatch.setattr(warm_start, "run_units", lambda *_: (yield from results))
-        return list(warm_start.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
+        monkeypatch.setattr(train, "run_units", lambda *_: (yield from results))
+        return list(train.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
 
-    assert warm_start.discounted_returns([(0, 1.0, 0.5), (0, 2.0, 0.9)]).tolist() == [2.0, 2.0]
+    assert train.discounted_returns([(0, 1.0, 0.5), (0, 2.0, 0.9)]).tolist() == [2.0, 2.0]
     assert lessons((1, "b"), (0, "a"), (3, "d"), (2, "c"), (5, "f")) == [*"abcd"]
     died = WorkerDied("its process was killed by SIGKILL")
     with pytest.raises(WorkerDied, match="warm start, episode 3: its process was killed by SIGKILL"):
@@ -93,7 +96,7 @@ def test_lessons_come_in_order_and_an_episode_of_the_teacher_that_fails_is_named
 def test_lessons_of_processes_are_those_of_one_process():
     config = quick(warm_start={"teacher": "bfs"})
     many = config.model_copy(update={"workers": "batch"})
-    here, there = (list(islice(warm_start.episodes(c, lambda: False), 3)) for c in (config, many))
+    here, there = (list(islice(train.episodes(c, lambda: False), 3)) for c in (config, many))
     for mine, yours in zip(here, there, strict=True):
         assert mine.keys() == yours.keys()
         assert all(mine[name].tobytes() == yours[name].tobytes() for name in mine)

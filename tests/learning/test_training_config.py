@@ -5,15 +5,17 @@ import json
 import pytest
 
 from mecp_env.cli import main as cli
+from mecp_env.cli.base import Line
 from mecp_env.cli.main import main
 from mecp_env.cli.train import Train
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import ALGORITHMS, TrainConfig, read_config
-from mecp_env.world.generator.spec import GeneratorSpec
+from mecp_env.world.config import GeneratorSpec
 
 
-def parse(line: list[str]) -> TrainConfig:
+def parse(words: list[str]) -> TrainConfig:
     """The configuration of `mecp-env train` with a line of options."""
+    line = Line(words)
     command = cli.parse("train", line)
     assert isinstance(command, Train)
     return (command.resumed(line) if command.resume else command.new(line))[0]

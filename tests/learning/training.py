@@ -10,7 +10,7 @@ from typing import Any
 from unittest.mock import patch
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.exit_codes import run_command
+from mecp_env.cli.base import Line, run_command
 from mecp_env.cli.train import Train
 from mecp_env.learning.config import TrainConfig
 from tests.launcher import Launcher, Process
@@ -37,7 +37,7 @@ def batch(observation: dict[str, Any], goals: bool = True) -> dict[str, Any]:
     """An observation of the environment as the network takes it."""
     import torch
 
-    from mecp_env.learning.downsampled import downsample
+    from mecp_env.learning.fits import downsample
 
     return {name: torch.as_tensor(values[None]) for name, values in downsample(observation, goals).items()}
 
@@ -97,7 +97,7 @@ def resume(folder: Path, *words: str) -> int:
 def _command(train: Train, line: list[str], words: tuple[str, ...], curves: bool) -> int:
     """The exit code of `mecp-env train`; a line without `words` is not parsed, which takes a third of a second."""
     with nullcontext() if curves else patch("mecp_env.learning.train.draw_training"):
-        return cli.main(["train", *line]) if words else run_command(lambda: train.run(line))
+        return cli.main(["train", *line]) if words else run_command(lambda: train.run(Line(line)))
 
 
 def start(launcher: Launcher, *words: str) -> Process:

@@ -22,11 +22,10 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.evaluate import Evaluate
 from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, KeptResults, Shard
-from mecp_env.policies.comparison import Row, compare, difference, rows_of
-from mecp_env.policies.evaluation import Evaluation
+from mecp_env.policies.evaluation import Evaluation, Row, compare, difference, rows_of
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import Mask
-from mecp_env.policies.report_table import cell, page
+from mecp_env.policies.report import cell, page
 from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
     CoverageCurve,

@@ -18,8 +18,7 @@ from mecp_env.policies.active import (
     sigma_now,
     sigma_there,
 )
-from mecp_env.policies.explorers import Nearest, RandomGoal
-from mecp_env.policies.gain import Gain, Weights, unseen_area, well_known
+from mecp_env.policies.explorers import Gain, Nearest, RandomGoal, Weights, unseen_area, well_known
 from mecp_env.policies.registry import (
     EXPLORERS,
     GAIN,

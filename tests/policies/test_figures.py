@@ -7,8 +7,8 @@ import pytest
 
 from mecp_env.core.budget import budget_m
 from mecp_env.core.intervals import correlation, estimate, over_runs
-from mecp_env.policies.comparison import COMPARED, Row, by_name, returns_of, seeds_of
-from mecp_env.policies.report_table import returns_table, seeds_table
+from mecp_env.policies.evaluation import COMPARED, Row, by_name, returns_of, seeds_of
+from mecp_env.policies.report import returns_table, seeds_table
 from mecp_env.policies.rollout import CoverageCurve, EpisodeResult, EpisodeTask
 from mecp_env.policies.setting import Setting
 

@@ -165,7 +165,7 @@ def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pyte
     assert registry.source_of("closest") == "mecp_env.policies.explorers:Nearest"
     assert registry.source_of("nearest") == "nearest"
     assert registry.policy_checksum("closest")
-    registry.register_policy("closest", "mecp_env.policies.gain:Gain")  # replaces the first
+    registry.register_policy("closest", "mecp_env.policies.explorers:Gain")  # replaces the first
     assert type(make_policy("closest")).__name__ == "Gain"
     wrong: list[Any] = [("nearest", "a:B"), ("two words", "a:B"), (3, "a:B"), ("ppo", "a:B"), ("new", "no class")]
     for name, path in [*wrong, ("new", Nearest), ("new", lambda: Nearest())]:

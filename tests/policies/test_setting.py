@@ -14,8 +14,7 @@ import pytest
 from mecp_env.cli import main as cli
 from mecp_env.core.errors import ConfigError
 from mecp_env.policies.evaluation import Evaluation
-from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.gain import Gain
+from mecp_env.policies.explorers import Gain, Nearest
 from mecp_env.policies.recording import Recording
 from mecp_env.policies.rollout import EpisodeTask, make_rooms, run_episode
 from mecp_env.policies.setting import Setting, checksum_of, plan_fields, plan_names, words_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from mecp_env.render.film import LAST_FRAME_MS, Film
+from mecp_env.render.screen import LAST_FRAME_MS, Film
 
 
 def frame(step: int) -> np.ndarray:

@@ -15,7 +15,8 @@ from mecp_env.floorplans.exporters import save_map_server
 from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.plan_figures import plans_figure, save_plans
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, obstacle_shape
 

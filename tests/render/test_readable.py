@@ -24,7 +24,8 @@ from mecp_env.render.figures import curves_figure, drawn, map_figure
 from mecp_env.render.plan_figures import plans_figure
 from mecp_env.render.stages import DECISIONS, KINDS, stage_figures
 from mecp_env.slam.messages import EdgeLabel
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from tests.render import scene
 from tests.render.contrast import contrast

@@ -16,8 +16,9 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.browser import Browser, chromium
 from mecp_env.core.errors import ConfigError
-from mecp_env.render.replay import Recorder, ReplayError, read_page, recorder, write_page
-from mecp_env.render.replay.page import changed_cells, changed_rows
+from mecp_env.render import replay
+from mecp_env.render.replay import Recorder, ReplayError, read_page, write_page
+from mecp_env.render.replay_page import changed_cells, changed_rows
 from mecp_env.wrappers import RecordReplay
 
 DRAWN = "Number(document.body?.dataset.drawn) > 0"
@@ -69,7 +70,7 @@ def test_corners_and_polygons_say_what_was_decided_and_why(kept: tuple[Path, lis
 
 
 def test_a_long_run_keeps_evenly_spaced_steps(kept: tuple[Path, list[Any]], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(recorder, "MOST_FRAMES", 8)
+    monkeypatch.setattr(replay, "MOST_FRAMES", 8)
     some = Recorder(0.4)
     for view in kept[1][:30]:
         some.look(view)

@@ -14,7 +14,7 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.browser import Browser, chromium
 from mecp_env.render import palette
-from mecp_env.render.replay import read_page, write_page
+from mecp_env.render.replay_page import read_page, write_page
 from tests.render.contrast import contrast, parsed
 
 LEAST_TEXT, LEAST_MARK = 4.5, 3.0  # WCAG 2.1 AA: text, and what is not text
@@ -28,7 +28,7 @@ needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on th
 
 
 def sources() -> dict[str, str]:
-    folder = files("mecp_env.render.replay")
+    folder = files("mecp_env.render") / "player"
     return {name: (folder / name).read_text("utf-8") for name in ("style.css", "player.js", "page.html")}
 
 

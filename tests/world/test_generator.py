@@ -13,9 +13,9 @@ import shapely
 from shapely.geometry import Polygon
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.world.checks import check_geometry
-from mecp_env.world.generator import DIFFICULTIES, SPLITS, GeneratorSpec, generate, split_seed
-from mecp_env.world.layout import load_layout
+from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed
+from mecp_env.world.generator import generate
+from mecp_env.world.layout import check_geometry, load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
 from mecp_env.world.schema import BoxSpec, Layout
 

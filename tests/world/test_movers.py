@@ -20,10 +20,9 @@ from mecp_env.world import pedestrians as crowd
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.doors import close_doors, draw_closed
 from mecp_env.world.drive import wall_distance
-from mecp_env.world.faces import moving_faces
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
-from mecp_env.world.moving_obstacles import Movers, Moving
+from mecp_env.world.moving_obstacles import Movers, Moving, moving_faces
 from mecp_env.world.outline import Outline
 from mecp_env.world.pedestrians import WalkwayPlanner, clear_leg
 from mecp_env.world.simulation import Simulation

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import pytest
 
-from mecp_env.world.generator import GeneratorSpec, generate
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.doors import building_figures
+from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
-from mecp_env.world.statistics import building_figures
 
 
 def test_the_figures_of_two_rooms_are_those_counted_by_hand() -> None:

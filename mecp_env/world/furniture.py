@@ -16,8 +16,8 @@ import shapely
 from numpy.typing import NDArray
 
 from mecp_env.core.carriers import Array, Bools
-from mecp_env.world.generator.partition import Opening, Point, Space
-from mecp_env.world.generator.spec import GeneratorSpec, Rejected
+from mecp_env.world.config import GeneratorSpec, Rejected
+from mecp_env.world.partition import Opening, Point, Space
 
 CLEAR_M = 0.8  # between two pieces, and between a piece and a wall that is not behind it
 DOOR_CLEAR_M = 1.1  # between a piece and the middle of a door

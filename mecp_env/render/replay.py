@@ -1,4 +1,7 @@
-"""What a replay needs of every step, kept as the run goes on, and written as whole numbers at its end."""
+"""A page that plays a run: what it needs of every step, kept as the run goes on, and written as whole numbers.
+
+`replay_page` has the page itself, which is read without the messages of the estimator.
+"""
 
 from __future__ import annotations
 
@@ -12,10 +15,20 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import palette
-from mecp_env.render.replay.page import Versions, changed_cells, changed_rows
+from mecp_env.render.replay_page import (
+    ReplayError,
+    Versions,
+    changed_cells,
+    changed_rows,
+    play_again,
+    read_page,
+    write_page,
+)
 from mecp_env.render.shapes import SceneView, loops, signed_area
 from mecp_env.slam.messages import Cell, Corners, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
+
+__all__ = ["Recorder", "ReplayError", "play_again", "read_page", "write_page"]
 
 MOST_FRAMES = 1500  # a longer run keeps every second step, then every fourth, ...
 MOST_BEAMS = 180  # of a scan that are drawn

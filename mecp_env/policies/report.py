@@ -1,11 +1,28 @@
-"""Figures as tables: the page of a comparison in Markdown, and a short table for a terminal."""
+"""A comparison as tables for a page in Markdown and for a terminal, as curves, and as a film of all policies."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from mecp_env.core.budget import BUDGET_M_PER_M2
+from mecp_env.core.carriers import Bytes
+from mecp_env.core.files import sanitised
 from mecp_env.core.intervals import Figures
+from mecp_env.policies.evaluation import SHARES_OF_BUDGET
+from mecp_env.policies.registry import make_policy
+from mecp_env.policies.rollout import Info, make_rooms, run_policy
 from mecp_env.policies.setting import Setting, words_of
+from mecp_env.render.palette import FAINT, INK, MARKERS, SERIES, unit
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+    from mecp_env.render.screen import Film
 
 Column = tuple[str, str, str, float]  # heading, name of the figure, format, factor
 
@@ -61,6 +78,13 @@ RETURNS: tuple[Column, ...] = (
     ("lost / others", "ratio", ".2f", 1.0),
     ("correlation with correct coverage", "correlation", ".2f", 1.0),
 )
+DPI = 200
+PANEL = (320, 290)  # px
+ACROSS = 3  # panels in a row
+MOST_FRAMES, EVERY = 64, 4  # of a policy, and steps between the first of them
+LONGEST = 900  # steps: longer episodes are cut
+FIRST = 0, 0  # building and seed
+MARK_EVERY = 0.12  # of the diagonal, from marker to marker of a curve
 
 
 def page(result: Figures) -> str:
@@ -162,3 +186,87 @@ def returns_table(result: Figures) -> str:
     """
     found = [part for part in [result.get("returns")] if part and part["lost"]["value"] is not None]
     return table(RETURNS, [(f"{part['lost']['n']} buildings with both", part) for part in found])
+
+
+def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
+    """Write the mean coverage over the metres driven as a PNG.
+
+    The first row of each policy has a band, its 95 % interval; the row with the pose known is dashed.
+    """
+    from matplotlib.figure import Figure  # matplotlib is loaded only for a figure
+
+    from mecp_env.render.figures import open_axes, save
+
+    figure = Figure(figsize=(9.0, 4.6), layout="constrained")
+    axes = figure.add_subplot()
+    for number, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
+        draw_policy(axes, [row for row in rows if row["policy"] == policy], number)
+    dress(axes, title)
+    open_axes(axes)
+    heading = "area under the curve up to 1\n(dashed: pose known)"
+    figure.legend(loc="outside right upper", frameon=False, fontsize=9, title=heading, title_fontsize=9)
+    save(figure, path, DPI)
+
+
+def draw_policy(axes: Axes, rows: list[Figures], number: int) -> None:
+    """The curves of one policy in its colour and with its marker, the first with its band and the areas under both."""
+    colour, marker = (choices[number % len(choices)] for choices in (list(map(unit, SERIES)), MARKERS))
+    low, value, high = ([point[end] for point in rows[0]["curve"]] for end in ("low", "value", "high"))
+    area, *known = (f"{row['figures']['auc']['value']:.3f}" for row in rows)
+    label = f"{sanitised(rows[0]['policy'])}  {area}" + "".join(f" ({other})" for other in known)
+    looks: dict[str, Any] = {"marker": marker, "markersize": 5, "markevery": (0.02 * (number % 6), MARK_EVERY)}
+    axes.plot(SHARES_OF_BUDGET, value, color=colour, linewidth=1.8, label=label, **looks)
+    axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
+    for row in rows[1:]:
+        axes.plot(SHARES_OF_BUDGET, [point["value"] for point in row["curve"]], "--", color=colour, linewidth=1.0)
+
+
+def dress(axes: Axes, title: str) -> None:
+    """Axes, legend and title."""
+    axes.set_title(title, loc="left", fontsize=11, color=unit(INK))
+    axes.set_xlabel(f"metres driven, as a share of the building's budget ({BUDGET_M_PER_M2:g} m per m² of floor)")
+    axes.set_ylabel("floor seen, %")
+    axes.set_xlim(0.0, float(SHARES_OF_BUDGET[-1]))
+    axes.set_ylim(0.0, 1.02)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
+    axes.axvline(1.0, color=unit(FAINT), linewidth=0.8, linestyle=":")
+
+
+def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
+    """Write the film of all policies in one building as a GIF; long episodes are cut."""
+    from mecp_env.render.screen import Film
+
+    shorter = replace(setting, max_steps=min(setting.max_steps, LONGEST))
+    films = [record(policy, shorter, trust) for policy in policies]
+    every = max(film.every for film in films)
+    last = max(film.every * (len(film.frames) - 1) for film in films)
+    whole = Film()
+    for step in range(0, last + every, every):  # an episode that is over stays at its last picture
+        whole.frames.append(mosaic([film.frames[min(-(-step // film.every), len(film.frames) - 1)] for film in films]))
+    whole.save(path)
+
+
+def record(policy: str, setting: Setting, trust: bool = False) -> Film:
+    """What the robot believes at every n-th step of an exploration, and at its end, with time, metres and coverage."""
+    from mecp_env.render.screen import Film, thumbnail  # pygame is loaded only for a film
+
+    made, film = make_policy(policy, trust), Film(MOST_FRAMES, EVERY)
+    env = make_rooms(setting, made)
+    period_s = env.get_wrapper_attr("config").robot.period_s
+
+    def picture(info: Info, ended: str = "") -> Bytes:
+        """The belief below time, metres and coverage."""
+        words = f"{period_s * info['period']:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
+        return thumbnail(env.get_wrapper_attr("view")(), PANEL, policy, words)
+
+    end = run_policy(env, made, lambda info: film.offer(info["period"], lambda: picture(info)), FIRST)
+    film.frames.append(picture(end.info, "    ..." if end.info["goals"] else "    done"))
+    env.close()
+    return film
+
+
+def mosaic(pictures: list[Bytes]) -> Bytes:
+    """The pictures in rows of three; missing ones have the colour of their border."""
+    across = min(ACROSS, len(pictures))
+    filled = pictures + [np.full_like(pictures[0], pictures[0][0, 0])] * (-len(pictures) % across)
+    return np.vstack([np.hstack(filled[i : i + across]) for i in range(0, len(filled), across)])

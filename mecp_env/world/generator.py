@@ -1,4 +1,8 @@
-"""From a specification and a seed to a layout."""
+"""Generated buildings: a specification and a seed give a layout with known rooms and doors.
+
+`generate(spec, seed)` divides a rectangle among the rooms, finds the walls between them, opens doors along a spanning
+tree and one more per loop (`partition`), and places furniture (`furniture`).
+"""
 
 from __future__ import annotations
 
@@ -12,8 +16,9 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import shown
-from mecp_env.world.generator.furniture import Placed, edge_distances, furnish, inside
-from mecp_env.world.generator.partition import (
+from mecp_env.world.config import GeneratorSpec, Rejected
+from mecp_env.world.furniture import Placed, edge_distances, furnish, inside
+from mecp_env.world.partition import (
     Line,
     Opening,
     Point,
@@ -25,8 +30,9 @@ from mecp_env.world.generator.partition import (
     shared_stretches,
     wall_lines,
 )
-from mecp_env.world.generator.spec import GeneratorSpec, Rejected
 from mecp_env.world.schema import Layout
+
+__all__ = ["GeneratorSpec", "generate"]
 
 ATTEMPTS = 100  # rejected buildings before a specification counts as impossible,
 FURNISHED = 10  # and rejections for too little furniture

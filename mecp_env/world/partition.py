@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.world.generator.spec import ROOMS_OF, GeneratorSpec, Rejected
+from mecp_env.world.config import ROOMS_OF, GeneratorSpec, Rejected
 
 GRID_M = 0.05  # walls lie on multiples of this
 CUTS = 20  # candidate cuts of one rectangle

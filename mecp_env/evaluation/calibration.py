@@ -16,7 +16,7 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError, SensorError
 from mecp_env.core.se2 import between
 from mecp_env.core.sensors import Scan
-from mecp_env.evaluation.calibration.motions import (
+from mecp_env.evaluation.scan_motions import (
     ALONG,
     NAMES,
     NOTHING,

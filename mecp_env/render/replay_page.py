@@ -114,7 +114,10 @@ def write_page(run: dict[str, Any], path: Path) -> None:
 
 def _write(title: str, packed: bytes, path: Path) -> None:
     """The page of a run that is packed."""
-    parts = {name: (files(__package__) / name).read_text("utf-8") for name in ("page.html", "style.css", "player.js")}
+    parts = {
+        name: (files(__package__) / "player" / name).read_text("utf-8")
+        for name in ("page.html", "style.css", "player.js")
+    }
     texts = {"title": html.escape(title), "version": str(VERSION), "run": base64.b64encode(packed).decode()}
     texts |= {"style": parts["style.css"], "player": parts["player.js"]}
     page = MARK.sub(lambda mark: texts[mark[1]], parts["page.html"])  # at once: a text may hold what looks like a mark
