@@ -15,6 +15,7 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
+from mecp_env.logs.bag2_parts import unpacked_message
 from mecp_env.logs.bag_chunks import check_chunks
 from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.clock import note_delay
@@ -182,7 +183,8 @@ def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
     """All messages of the chosen topics."""
     for connection, received, data in bag.messages([c for c in bag.connections if c.topic in takers]):
         try:
-            takers[connection.topic](bag.deserialize(data, connection.msgtype), 1e-9 * received)
+            message = bag.deserialize(unpacked_message(data), connection.msgtype)
+            takers[connection.topic](message, 1e-9 * received)
         except LogError:
             raise
         except Exception as error:  # damaged bytes may raise anything

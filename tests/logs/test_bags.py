@@ -210,3 +210,14 @@ def test_the_first_echo_of_each_beam_is_read(tmp_path: Path) -> None:
     log = read_log(bag.close())
     np.testing.assert_allclose(log.ranges[:, 1:], drive()[2][:, 1:], atol=1e-5)
     assert np.isnan(log.ranges[:, 0]).all()
+
+
+@pytest.mark.parametrize("suffix", [".db3", ".mcap"])
+def test_a_part_with_packed_messages_alone(tmp_path: Path, suffix: str) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    bag = bag_of(tmp_path / f"a{suffix}")
+    bag.packing = rosbag2.CompressionMode.MESSAGE
+    part = bag.close()
+    check_path(read_log(part))
+    (part.parent / "metadata.yaml").unlink()
+    check_path(read_log(part))
