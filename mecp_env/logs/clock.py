@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_left, bisect_right
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Literal
 
@@ -18,6 +19,7 @@ LATEST_S = 1e11  # no stamp is later: the year 5138
 LEAST_UNIT_S = 2e-9  # the least unit of a stamp is ns
 SLOWEST_S = 5.0  # from one scan to the next, usually; longer times are in ms, us or ns,
 FASTEST_M_S = 5.0  # unless the robot were faster in such a unit: no robot is
+DAY_S, DATES, SHORTEST_S = 86400.0, (3e4, 8e5), 1e-3  # dates of Excel and MATLAB count days; scans are not nearer
 LATE_S = 0.3  # messages are received later than their stamps by times that differ by less
 USEFUL_SHARE = 0.75  # of the stamps ascend, and
 DISTINCT_SHARE = 0.02  # of them differ, at least; otherwise the order of the file counts
@@ -100,11 +102,11 @@ def ascending_rows(t: Array, equal: bool = False) -> Ints:
 
 
 def _take_seconds(recording: Recording) -> None:
-    """Take stamps that cannot be in s for ms, us or ns."""
+    """Take stamps that cannot be in s for ms, us or ns, or for days."""
     unit = _unit(recording)
     if unit == 1.0:
         return
-    recording.notes.append(f"stamps are taken in units of {unit:.0e} s")
+    recording.notes.append("stamps are taken in " + (f"units of {unit:.0e} s" if unit < 1.0 else "days"))
     recording.sweeps = [replace(sweep, t=unit * sweep.t) for sweep in recording.sweeps]
     for track in (recording.odometry, recording.reference):
         track.t = [unit * t for t in track.t]
@@ -112,17 +114,17 @@ def _take_seconds(recording: Recording) -> None:
 
 
 def _unit(recording: Recording) -> float:
-    """s, ms, us or ns: the largest in which stamps are not too late, nor scans too far apart in time."""
+    """Days, or s, ms, us or ns: the largest in which stamps are not too late, nor scans too far apart in time."""
     stamps = _stamps(recording.sweeps)
     stamps = stamps[np.isfinite(stamps)]
-    of_stamps = _largest(float(np.median(abs(stamps))), LATEST_S) if len(stamps) else 1.0
-    lasers = recording.by_laser().values()
-    usual = min((_usual_step(_stamps(sweeps)) for sweeps in lasers), default=1.0)
-    received = min((_usual_step(np.array([sweep.order for sweep in sweeps])) for sweeps in lasers), default=1.0)
-    of_steps = _largest(usual, SLOWEST_S)
-    if usual > 2.0 * received and _usual_speed(recording) <= FASTEST_M_S * of_steps:
-        return min(of_stamps, of_steps)
-    return of_stamps
+    middle = float(np.median(abs(stamps))) if len(stamps) else 0.0
+    usual = _usual_step(recording, lambda sweep: sweep.t)
+    received = _usual_step(recording, lambda sweep: sweep.order)
+    if usual < SHORTEST_S and DATES[0] < middle < DATES[1]:
+        return DAY_S
+    of_stamps, of_steps = _largest(middle, LATEST_S), _largest(usual, SLOWEST_S)
+    possible = usual > 2.0 * received and _usual_speed(recording) <= FASTEST_M_S * of_steps
+    return min(of_stamps, of_steps) if possible else of_stamps
 
 
 def _largest(time: float, most_s: float) -> float:
@@ -133,9 +135,10 @@ def _largest(time: float, most_s: float) -> float:
     return unit
 
 
-def _usual_step(stamps: Array) -> float:
-    """The usual time between two different ones that are possible, in whatever order they are."""
-    return _spacing(np.unique(stamps[abs(stamps) < LATEST_S / LEAST_UNIT_S]))
+def _usual_step(recording: Recording, stamp: Callable[[Sweep], float]) -> float:
+    """The usual time between two different stamps of a laser that are possible, in whatever order they are."""
+    lasers = (np.array([stamp(sweep) for sweep in sweeps]) for sweeps in recording.by_laser().values())
+    return min((_spacing(np.unique(t[abs(t) < LATEST_S / LEAST_UNIT_S])) for t in lasers), default=1.0)
 
 
 def _usual_speed(recording: Recording) -> float:
