@@ -24,7 +24,8 @@ GAP = 5.0  # medians between two scans
 SLACK_M = 0.5  # a motion that is longer, and faster than a robot, is a jump of the odometry;
 JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
-FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
+FEW_SHARE = 0.5  # of the scans have odometry, at least; else the clocks may differ
+BLIND_SHARE = 0.8  # of the readings measure nothing: more may have a wrong limit
 STEP_M, STEPS = 0.1, 20  # driven, from whose direction the meaning of headings is seen, so often at least
 LONGEST_M = 1e5  # of the path that is looked at
 AGREE = 0.95  # a resultant of so much between headings and directions says that they belong together,
@@ -67,6 +68,7 @@ def assemble(
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
+    _note_blind(recording, readings)
     counts["gaps in time"] += _gaps(t[kept])
     ranges = readings.ranges if kept.all() else readings.ranges[kept]
     return Log(
@@ -112,6 +114,17 @@ def _check_clocks(recording: Recording, t: Array, odometry: Track, kept: Bools) 
     if not kept.any():
         raise LogError(f"no scan with odometry: {spans} ({listed(recording)})")
     recording.notes.append(spans)
+
+
+def _note_blind(recording: Recording, readings: Readings) -> None:
+    """Note where nearly no reading measures anything: limits that the log states may be wrong."""
+    blind = 1.0 - float(np.isfinite(readings.ranges).mean())
+    if blind > BLIND_SHARE and not recording.mounts:
+        least = recording.sweeps[0].geometry.min_range_m
+        recording.notes.append(
+            f"warning: {blind:.0%} of the readings measure nothing from {least:g} to {readings.limit_m:g} m: "
+            "--max-range-m gives another limit than the log"
+        )
 
 
 def _leave_out_still(recording: Recording) -> None:

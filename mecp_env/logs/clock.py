@@ -23,6 +23,7 @@ DAY_S, DATES, SHORTEST_S = 86400.0, (3e4, 8e5), 1e-3  # dates of Excel and MATLA
 LATE_S = 0.3  # messages are received later than their stamps by times that differ by less
 USEFUL_SHARE = 0.75  # of the stamps ascend, and
 DISTINCT_SHARE = 0.02  # of them differ, at least; otherwise the order of the file counts
+OUT_OF_ORDER, MOST_OUT = "scans with an impossible stamp, or out of order", 0.05  # of the scans, without a warning
 UNUSABLE = "stamps of the messages are equal, missing or not ascending: the order of the file counts"
 RECEIVED = "--clock received: the order of the file counts (in a bag, the times when messages were received)"
 
@@ -43,7 +44,18 @@ def set_stamps(recording: Recording, clock: Clock) -> None:
     found = [sweep for sweeps in lasers for sweep in _sorted_out(sweeps, have_poses, recording.counts)]
     if not found:
         raise LogError(f"no scan that can be used ({listed(recording)})")
+    _note_out_of_order(recording)
     recording.sweeps = found
+
+
+def _note_out_of_order(recording: Recording) -> None:
+    """Note where many scans are left out."""
+    out, scans = recording.counts[OUT_OF_ORDER], len(recording.sweeps)
+    if out > MOST_OUT * scans:
+        recording.notes.append(
+            f"warning: {out} of {scans} scans are out of order by their stamps and left out: "
+            "--clock received takes the order of the file (in a bag, the times of receipt)"
+        )
 
 
 def note_delay(recording: Recording) -> None:
@@ -170,7 +182,7 @@ def _sorted_out(sweeps: list[Sweep], have_poses: bool, counts: Counter[str]) -> 
     stamps = _stamps(sweeps)
     rows = ascending_rows(stamps, equal=True)
     out = len(stamps) - len(rows)
-    counts["scans with an impossible stamp, or out of order" + (", placed by their lines" if have_poses else "")] += out
+    counts[OUT_OF_ORDER + (", placed by their lines" if have_poses else "")] += out
     if have_poses and len(rows):
         stamps, rows = _filled(stamps, rows), np.arange(len(stamps))
     sound = len(rows)

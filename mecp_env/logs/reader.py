@@ -11,7 +11,7 @@ from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.files import exists
 from mecp_env.core.settings import Settings
 from mecp_env.logs.assemble import assemble
-from mecp_env.logs.bag import is_bag, read_bag
+from mecp_env.logs.bag import SUFFIXES, is_bag, read_bag
 from mecp_env.logs.carmen import MAGIC, PACKED, READERS, read_carmen
 from mecp_env.logs.cells import rows_of
 from mecp_env.logs.clock import Clock
@@ -111,6 +111,13 @@ def _check_file(path: Path, suffix: str) -> None:
         return
     if path.is_dir():
         raise LogError("a folder without a bag; name a file")
+    _check_name(path, suffix)
+
+
+def _check_name(path: Path, suffix: str) -> None:
+    """Raise `LogError` for the name of a file that is not read so."""
+    if suffix in SUFFIXES:
+        raise LogError(f"a bag is read as it is, with {suffix} behind its name: unpack or rename it")
     if suffix not in (".npz", *TEXTS):
         raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
 
