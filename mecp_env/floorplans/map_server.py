@@ -7,7 +7,6 @@ import re
 import warnings
 from collections import Counter
 from collections.abc import Hashable, Sequence
-from contextlib import suppress
 from pathlib import Path, PurePosixPath
 from typing import Annotated, Any, Literal, Self
 
@@ -40,9 +39,6 @@ Share = Annotated[float, Strict(), Field(ge=0.0, le=1.0)]
 
 def _with_yaw(origin: Any) -> Any:
     return [*origin, 0.0] if isinstance(origin, list) and len(origin) == 2 else origin
-
-
-NUMBERS = ("resolution", "free_thresh", "occupied_thresh")
 
 
 class Sheet(Document):
@@ -177,7 +173,7 @@ def _sheet(path: Path) -> Sheet:
     """The checked fields of a yaml file."""
     data = read_bytes(path, MAX_YAML_BYTES)
     try:
-        fields = yaml.load(text_of(data).replace("\t", " "), OnceLoader)  # tabs are none to PyYAML
+        fields = yaml.load(text_of(data).replace("\t", " "), OnceLoader)  # PyYAML refuses tabs
     except LayoutError:
         raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:
@@ -187,14 +183,7 @@ def _sheet(path: Path) -> Sheet:
     foreign = of_yaml(fields) if "image" not in fields else ""
     if foreign.startswith("this is"):
         raise LayoutError(foreign)
-    return Sheet(**{str(name): _unquoted(value) if name in NUMBERS else value for name, value in fields.items()})
-
-
-def _unquoted(value: Any) -> Any:
-    """The number in a text in quotes, as the parser of map_server takes it; anything else as it is."""
-    with suppress(ValueError):
-        return float(value) if isinstance(value, str) else value
-    return value
+    return Sheet(**{str(name): value for name, value in fields.items()})
 
 
 def _beside(path: Path, given: str) -> Path:
