@@ -26,7 +26,7 @@ from benchmarks.common import (
     ShardDone,
     calibration_ms,
     failures,
-    markdown,
+    page_of,
     result,
     save,
 )
@@ -37,56 +37,32 @@ from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
 RECORD = "record"  # makes what others replay, and has no figures
-KINDS = {  # of each benchmark, what it has beside its figures
-    "ablation": "units records",
-    "association": "units open records",
-    "association_time": "units here records",
-    "claims": "units records",
-    "clutter": "units open records",
-    "consistency": "units open records",
-    "explorers": "units",
-    "features": "units",
-    "figures": "records",
-    "filters": "units open",
-    "formats": "",
-    "kidnap": "units records",
-    "learning": "",
-    "loop": "units records",
-    "map_size": "units here open records",
-    "mutated": "units",
-    "noise": "units records",
-    "paper_mode": "units records",
-    "real": "units here records",
-    "replay": "",
-    "restore": "units",
-    "returns": "units policies",
-    "scale": "units here",
-    "sensors": "units records",
-    "soak": "units here",
-    "speed": "compared",
-    "start": "compared",
-    "stock_ppo": "",
-    "structures": "units open records",
-    "uncertainty": "units policies",
-    "vector": "",
-    "vector_step": "",
-    "victoria_park": "open",
-    "worlds": "units",
+NAMES = (
+    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
+    *("figures", "filters", "formats", "kidnap", "learning", "loop", "map_size", "mutated", "noise", "paper_mode"),
+    *("real", "replay", "restore", "returns", "scale", "sensors", "soak", "speed", "start", "stock_ppo"),
+    *("structures", "uncertainty", "vector", "vector_step", "victoria_park", "worlds"),
+)
+HERE_ONLY = ("association_time", "map_size", "real", "scale", "soak")  # times, memory, maps: none runs on a cluster
+IN_UNITS = (  # of work, kept and divided
+    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
+    *("filters", "kidnap", "loop", "map_size", "mutated", "noise", "paper_mode", "real", "restore", "returns", "scale"),
+    *("sensors", "soak", "structures", "uncertainty", "worlds"),
+)
+ON_RECORDS = (
+    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "figures", "kidnap", "loop"),
+    *("map_size", "noise", "paper_mode", "real", "sensors", "structures", RECORD),
+)
+HAVING = {  # an option that not all benchmarks have -> those that have it
+    "against": ("speed", "start"),
+    "buildings": ("returns", "uncertainty"),
+    "cluster": tuple(name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY),
+    "policies": ("returns", "uncertainty"),
+    "records": ON_RECORDS,
+    "shard": (*IN_UNITS, RECORD),
+    "task": ("uncertainty",),
+    "with": ("association", "clutter", "consistency", "filters", "map_size", "structures", "victoria_park"),
 }
-
-
-def those(kind: str) -> tuple[str, ...]:
-    """The benchmarks of a kind."""
-    return tuple(name for name, kinds in KINDS.items() if kind in kinds.split())
-
-
-NAMES = tuple(KINDS)
-OPEN = those("open")  # compare registered parts too
-COMPARED = those("compared")  # comparable with another commit
-IN_UNITS = those("units")  # of work, kept and divided
-HERE_ONLY = those("here")  # times and memory of this machine; maps beside results
-OVER_POLICIES = those("policies")  # --task, --policies, --buildings
-WITH_RECORDS = (*those("records"), RECORD)  # --records
 COLOURS = 128  # of a committed picture: lines and areas need no more
 
 
@@ -108,23 +84,31 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{done}; after all shards, the same command without --shard gives the figures")
         return 0
     shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
-    report = getattr(module, "report", None)
-    page = markdown(content, report(content["figures"]) if report else None)
-    print(page)
-    if given.name == RECORD:
-        return 0  # the records are the result
+    print(page_of(content, module))
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
-    if given.json or not (given.quick or given.sets or given.modules or given.against):
-        path = given.json or RESULTS / f"{given.name}.json"
-        save(content, page + (f"\n![{given.name}]({path.stem}.png)\n" if hasattr(module, "figure") else ""), path)
-        if hasattr(module, "figure"):
-            save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
-        if hasattr(module, "pictures"):
-            save_pictures(module.pictures(options), path.with_suffix(""))
-    faults = module.faults(content["figures"]) if hasattr(module, "faults") else []
-    print(*(f"failed: {fault}" for fault in faults), sep="\n", end="\n" * bool(faults), file=sys.stderr)
+    keep(given, module, options, content)
+    faults = [f"failed: {fault}" for fault in getattr(module, "faults", no_faults)(content["figures"])]
+    sys.stderr.writelines(f"{fault}\n" for fault in faults)
     return 1 if faults else 0
+
+
+def no_faults(figures: Figures) -> list[str]:
+    """None, of a benchmark without bounds of its own."""
+    return []
+
+
+def keep(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
+    """Write the result with its page and its pictures, unless it is a part and no file is named for it."""
+    is_part = given.quick or given.sets or given.modules or given.against or given.name == RECORD
+    if is_part and not given.json:
+        return
+    path = given.json or RESULTS / f"{given.name}.json"
+    save(content, page_of(content, module, f"{path.stem}.png"), path)
+    if hasattr(module, "figure"):
+        save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
+    if hasattr(module, "pictures"):
+        save_pictures(module.pictures(options), path.with_suffix(""))
 
 
 def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
@@ -141,52 +125,39 @@ def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:
     """The options of a benchmark; ends the process with 2 for one that it does not have."""
-    faults = (text for text, is_wrong in (*wrong_options(given, module), *wrong_places(given)) if is_wrong)
-    for text in faults:
-        parser().error(text)
+    for fault in wrong_options(given, module):
+        parser().error(fault)
+    folder = UNITS / given.name
     return Options(
-        given.jobs,
-        given.quick,
-        tuple(given.sets),
-        tuple(given.modules),
-        given.against,
-        given.sweeps or (1, 4),
-        given.shard,
-        (UNITS / given.name).absolute(),
-        (given.records or (RECORDS if given.name == RECORD else UNITS / given.name / "records")).absolute(),
-        given.cluster,
-        given.task,
-        tuple(given.policies),
-        given.buildings,
+        jobs=given.jobs,
+        quick=given.quick,
+        sets=tuple(given.sets),
+        modules=tuple(given.modules),
+        against=given.against,
+        shard=given.shard,
+        folder=folder.absolute(),
+        records=(given.records or (RECORDS if given.name == RECORD else folder / "records")).absolute(),
+        cluster=given.cluster,
+        task=given.task,
+        policies=tuple(given.policies),
+        buildings=given.buildings,
     )
 
 
-def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[tuple[str, object]]:
-    """What is said of each option that only some benchmarks have, and whether this one lacks it."""
-    name = given.name
-    yield f"--sets: {name} is measured whole", given.sets and not hasattr(module, "SETS")
-    compare = f"--with: {name} compares no associators and no filters; {' and '.join(OPEN)} do"
-    yield compare, given.modules and name not in OPEN
-    only = f"--against: only for {' and '.join(COMPARED)}, and not with --gate"
-    yield only, given.against and (name not in COMPARED or given.gate)
-    yield "--sweeps: only for speed --against", given.sweeps and not (given.against and name == "speed")
-    whole = f"--shard: {name} is measured whole; {', '.join(IN_UNITS)} have units"
-    yield whole, given.shard != WHOLE and name not in (*IN_UNITS, RECORD)
-    policies = f"--task, --policies, --buildings: only for {' and '.join(OVER_POLICIES)}"
-    yield policies, (given.task or given.policies or given.buildings) and name not in OVER_POLICIES
-
-
-def wrong_places(given: argparse.Namespace) -> Iterator[tuple[str, object]]:
-    """The same of the places of units and of drives."""
-    name, able = given.name, [name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY]
-    here = f"--cluster: {name} runs here; {', '.join(able)} run on a cluster, too"
-    yield here, given.cluster and name not in able
-    jobs = f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
-    yield jobs, given.cluster and given.jobs != 1
-    replays = f"--records: {name} replays no drives; {', '.join(WITH_RECORDS)} do"
-    yield replays, given.records and name not in WITH_RECORDS
-    is_file = given.records and given.records.exists() and not given.records.is_dir()
-    yield f"--records: {given.records} is a file, not a folder", is_file
+def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
+    """What is wrong with the options that only some benchmarks have."""
+    asked = vars(given) | {"with": given.modules, "shard": given.shard != WHOLE}
+    for option, names in HAVING.items():
+        if asked[option] and given.name not in names:
+            yield f"--{option}: {given.name} does not have it; {', '.join(names)} do"
+    if given.sets and not hasattr(module, "SETS"):
+        yield f"--sets: {given.name} is measured whole"
+    if given.against and given.gate:
+        yield "--against: not with --gate"
+    if given.cluster and given.jobs != 1:
+        yield f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
+    if given.records and given.records.is_file():
+        yield f"--records: {given.records} is a file, not a folder"
 
 
 def parser() -> argparse.ArgumentParser:
@@ -204,10 +175,9 @@ def parser() -> argparse.ArgumentParser:
     add("--with", **many, default=[], metavar="MODULE", dest="modules", help=text)
     text = "of speed and start: compare the working tree with this commit; written only with --json"
     add("--against", metavar="GIT_REF", help=text)
-    add("--sweeps", type=positive, **many, metavar="K", help="of speed --against: sweeps per scan, default 1 and 4")
     text = "every N-th unit only, from the I-th; then the command without --shard gives the figures"
     add("--shard", type=shard, default=WHOLE, metavar="I/N", help=text)
-    text = f"of {', '.join(WITH_RECORDS)}: the drives that are replayed; missing ones are made there and stay"
+    text = f"of {', '.join(ON_RECORDS)}: the drives that are replayed; missing ones are made there and stay"
     add("--records", type=Path, metavar="FOLDER", help=text)
     add("--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address")
     add("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")

@@ -22,7 +22,7 @@ from benchmarks import loop, noise
 from benchmarks.common import Figures, Gate, Options, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.tables import page, table
+from benchmarks.tables import flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import estimate
@@ -44,15 +44,18 @@ def changes() -> dict[str, dict[str, Any]]:
     """Each variant by name: fields of sections of the configuration; the default has none."""
     found: dict[str, dict[str, Any]] = {DEFAULT: {}}
     for section, field in SlamConfig.model_fields.items():
-        if section == "sensor":
-            continue
-        settings = field.default
-        for name, of_name in type(settings).model_fields.items():
-            for label, other in variants_of(getattr(settings, name), of_name.annotation):
-                change = {section: {name: other}}
-                if is_valid(change):
-                    found[f"{section}.{name} {label}"] = change
-    return found
+        if section != "sensor":
+            found |= changes_of(section, field.default)
+    return {name: change for name, change in found.items() if is_valid(change)}
+
+
+def changes_of(section: str, settings: Any) -> dict[str, dict[str, Any]]:
+    """Other values of each field of a section."""
+    return {
+        f"{section}.{name} {label}": {section: {name: other}}
+        for name, field in type(settings).model_fields.items()
+        for label, other in variants_of(getattr(settings, name), field.annotation)
+    }
 
 
 def variants_of(value: Any, annotation: Any) -> list[tuple[str, Any]]:
@@ -134,24 +137,20 @@ def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:
 
 def report(figures: Figures) -> str:
     """The variants that make a difference, and the names of those that change nothing."""
+    flat = {name: flatten(cells) for name, cells in figures.items()}
     rows = [
-        [f"`{name}`", cell, key, figure]
-        for name, cells in figures.items()
-        for cell, keys in cells.items()
-        for key, figure in keys.items()
+        [f"`{name}`", *path.split("/"), figure]
+        for name, of in flat.items()
+        for path, figure in of.items()
         if figure["n"] > 1 and (figure["low"] > 0.0 or figure["high"] < 0.0)
     ]
-    same = [
-        name for name, cells in figures.items() if all(is_zero(f) for keys in cells.values() for f in keys.values())
+    zero = dict.fromkeys(("value", "low", "high"), 0.0)
+    same = [f"`{name}`" for name, of in flat.items() if all(zero.items() <= figure.items() for figure in of.values())]
+    quiet = sorted({f"`{name}`" for name in flat} - {row[0] for row in rows} - set(same))
+    parts = [
+        f"{len(figures)} variants.",
+        table(["variant", "cell", "figure", "minus default"], rows),
+        f"No difference outside of its interval ({len(quiet)}): {', '.join(quiet) or '-'}.",
+        f"Same bits ({len(same)}): {', '.join(same) or '-'}.",
     ]
-    quiet = sorted({f"`{name}`" for name in figures} - {row[0] for row in rows} - {f"`{name}`" for name in same})
-    parts = [f"{len(figures)} variants."]
-    parts.append(table(["variant", "cell", "figure", "minus default"], rows))
-    parts.append(f"No difference outside of its interval ({len(quiet)}): {', '.join(quiet) or '-'}.")
-    parts.append(f"Same bits ({len(same)}): {', '.join(f'`{name}`' for name in same) or '-'}.")
-    return page(__doc__, *parts)
-
-
-def is_zero(figure: Figures) -> bool:
-    """Whether no drive differs."""
-    return bool(figure["value"] == 0.0 and figure["low"] == 0.0 and figure["high"] == 0.0)
+    return "\n\n".join(parts)

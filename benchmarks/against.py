@@ -22,7 +22,7 @@ from benchmarks.tables import table
 from benchmarks.trees import WORKING_TREE, TreeWorker, checkout
 from mecp_env.core.intervals import ratio
 
-ACTIONS = ("random", "breadth_first")
+ACTIONS, SWEEPS = ("random", "breadth_first"), (1, 4)
 HERE = "working tree"
 
 
@@ -46,9 +46,9 @@ def run(options: Options, sizes: Sizes | None = None) -> Figures:
     with checkout(options.against) as other:
         trees = {HERE: WORKING_TREE, options.against: other}
         figures: Figures = {
-            f"K={k}": {actions: compare(trees, actions, k, sizes) for actions in ACTIONS} for k in options.sweeps
+            f"K={k}": {actions: compare(trees, actions, k, sizes) for actions in ACTIONS} for k in SWEEPS
         }
-    return {"against": options.against, **figures, "peers": peers.measure(sizes.total // sizes.block, options.sweeps)}
+    return {"against": options.against, **figures, "peers": peers.measure(sizes.total // sizes.block, SWEEPS)}
 
 
 def compare(trees: dict[str, Path], actions: str, sweeps: int, sizes: Sizes) -> Figures:
@@ -96,26 +96,13 @@ def summarise(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> Figures:
 def report(figures: Figures) -> str:
     """One row for each kind of action."""
     ref = figures["against"]
+    columns = ("ratio", "steps_per_s", "steps_per_s_against", "same_observations")
     rows = [
-        (
-            sweeps,
-            actions,
-            v["ratio"],
-            v["steps_per_s"],
-            v["steps_per_s_against"],
-            v["ratio"]["n"],
-            v["same_observations"],
-        )
+        (sweeps, actions, *(values[name] for name in columns), values["ratio"]["n"])
         for sweeps, kinds in figures.items()
         if sweeps.startswith("K=")
-        for actions, v in kinds.items()
+        for actions, values in kinds.items()
     ]
-    header = [f"time per step, {HERE} / {ref}", f"steps per second, {HERE}", f"steps per second, {ref}"]
-    return "\n\n".join(
-        [
-            __doc__.partition("\n\n")[2].strip() if __doc__ else "",
-            table(["sweeps", "actions", *header, "pairs of blocks", "share with the same observation"], rows),
-            "## MiniGrid and ir-sim",
-            peers.report(figures["peers"]),
-        ]
-    )
+    head = ["sweeps", "actions", f"time per step, {HERE} / {ref}", f"steps per second, {HERE}"]
+    head += [f"steps per second, {ref}", "share with the same observation", "pairs of blocks"]
+    return f"{table(head, rows)}\n\n## MiniGrid and ir-sim\n\n{peers.report(figures.get('peers', {}))}"

@@ -29,7 +29,7 @@ from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import table_of
+from benchmarks.tables import sections, table_of
 from benchmarks.variants import DEFAULT, RIVALS, with_change
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.core.intervals import estimate, share
@@ -216,12 +216,17 @@ def report(figures: Figures) -> str:
     columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
     columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
     columns += ("pair_nees", "lost", "associate_ms")
-    parts = []
+    parts = {}
     for layout, methods in figures.items():
-        paired = [name for name in methods["mecp"] if name.endswith("_minus_mecp")]
-        parts += [f"## {layout} ({methods['mecp']['precision']['n']} seeds)", shown(columns, methods)]
-        parts += ["Mean difference to `mecp` on the same drives:", table_of("associator", paired, methods)]
-    return "\n\n".join(parts) + "\n"
+        paired = [name for name in methods[DEFAULT] if name.endswith("_minus_mecp")]
+        parts[f"{layout} ({methods[DEFAULT]['precision']['n']} seeds)"] = "\n\n".join(
+            [
+                shown(columns, methods),
+                "Mean difference to `mecp` on the same drives:",
+                table_of("associator", paired, methods),
+            ]
+        )
+    return sections(parts)
 
 
 def shown(columns: Sequence[str], methods: dict[str, Figures]) -> str:

@@ -16,26 +16,39 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 
+from benchmarks.clutter import independent
+from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, best_of, runs_of
 from benchmarks.drives import Drive
-from benchmarks.loop import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, course, finish, front_end, look, named
+from benchmarks.loop import (
+    FIRST_SCAN,
+    RIGHT_PAIRS,
+    Finished,
+    Look,
+    course,
+    finish,
+    front_end,
+    judged,
+    look,
+    named,
+    rough_view,
+)
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from benchmarks.variants import DEFAULT, RIVALS
-from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.intervals import ratio
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
+from mecp_env.slam.messages import CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
 from mecp_env.slam.protocols import Filter
 
 CORNERS, SPURIOUS = 20, 4
@@ -55,8 +68,8 @@ SEEDS = {"paper": 10, "furnished": 6, "hard": 6}  # drives
 SETS, MOST = tuple(SEEDS), 500
 SCANS, QUICK_SCANS, QUICK_DRIVES, CALLS = 10, 3, 1, 3
 IN_FRONT = (0.2, 0.9)  # share of a beam's range at which a spurious corner may be
-COLUMNS = ("scans", "ms", "right", "pairs", "wrong", "polygon", "budget_spent")
-POLYGONS = "polygons"
+COUNTED = ("scans", "ms", "right", "pairs", "wrong", "polygon", "budget_spent")
+Sums = dict[str, dict[str, Figures]]  # sigma -> associator -> sums over scans
 
 GATES = (
     Gate("paper/1 m 10 deg/jcbb/ratio", "bound", 0.2),
@@ -69,25 +82,27 @@ def run(options: Options) -> Figures:
     """Results of every set, sigma and associator."""
     scans = QUICK_SCANS if options.quick else SCANS
     drives = [(layout, scans, seed) for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)]
-    results = on_records(compare, dict[str, dict[str, list[float]]], drives, options)
+    results = on_records(compare, Sums, drives, options)
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 
 
-def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> dict[str, dict[str, list[float]]]:
-    """Sums of COLUMNS over the scans of the drive of one layout and seed, for each sigma and associator."""
+def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Sums:
+    """Sums over the scans of the drive of one layout and seed, for each sigma and associator."""
     layout, count, seed = task
     drive = records.drive(course(layout, seed))
     finished, rng = finish(drive), np.random.default_rng(seed)
     looks, polygons_ms = cluttered_looks(drive, finished, count, rng)
-    sums: dict[str, dict[str, list[float]]] = {POLYGONS: {POLYGONS: [polygons_ms]}}
+    sums: Sums = {}
     for sigma_m, sigma_deg in SIGMAS:
         sigmas = np.array([sigma_m, sigma_m, math.radians(sigma_deg)])
         rows = [
             race(finished, seen, np.array([rng.normal(size=3) * sigmas, sigmas]), drive.slam.association)
             for seen in looks
         ]
-        total = {name: np.sum([row[name] for row in rows], axis=0).tolist() for name in METHODS if rows}
-        sums[named((sigma_m, sigma_deg))] = total or {name: [0.0] * len(COLUMNS) for name in METHODS}
+        sums[named((sigma_m, sigma_deg))] = {
+            name: {key: sum(row[name][key] for row in rows) for key in COUNTED} | {"polygons_ms": polygons_ms}
+            for name in METHODS
+        }
     return sums
 
 
@@ -132,32 +147,25 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
     return Corners(z[order], cov, *marks, doorways), np.where(spurious, -1, source)
 
 
-def independent(cov: Array, alone: Bools) -> Array:
-    """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
-    correlated = np.repeat(~alone, 2)
-    own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
-    kept: Array = np.where(own | (correlated[:, None] & correlated), cov, 0.0)
-    return kept
-
-
-def race(finished: Finished, seen: Look, error: Array, section: AssociationConfig) -> dict[str, list[float]]:
-    """COLUMNS of every associator on one scan, with a pose off by `error`, a row of x, y, heading and their sigmas."""
-    pipeline, (off, sigmas) = finished.pipeline, error
-    belief = pipeline.filter.copy()
-    belief.set_pose(seen.T_map_robot + off, np.diag(sigmas**2))
-    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
-    view = pipeline.map.view(belief.belief(), graph, np.full(len(seen.corners), -1), pipeline.step_count + 1)
+def race(finished: Finished, seen: Look, error: Array, section: AssociationConfig) -> dict[str, Figures]:
+    """What every associator does with one scan, its pose off by `error`: a row of x, y, heading, and their sigmas."""
+    off, sigmas = error
+    view, belief = rough_view(finished.pipeline, seen.T_map_robot + off, sigmas, len(seen.corners))
     rows = {}
     for name, fields in METHODS.items():
         config = section.model_copy(update=fields | {"search_budget": BUDGET})
         decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
         match = decide()
-        paired = match.recognised()
-        claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
-        correct = int(((claimed == true) & (true >= 0)).sum())
-        right, wrong = correct >= RIGHT_PAIRS and correct == len(paired), len(paired) - correct
-        spent = config.method == "jcbb" and nodes(seen.corners, view, belief, config) >= config.search_budget
-        rows[name] = [1.0, fastest_ms(decide), right, len(paired), wrong, match.polygon >= 0, spent]
+        pairs, wrong = judged(finished, seen, match)
+        rows[name] = {
+            "scans": 1,
+            "ms": fastest_ms(decide),
+            "right": pairs >= RIGHT_PAIRS and not wrong,
+            "pairs": pairs,
+            "wrong": wrong,
+            "polygon": match.polygon >= 0,
+            "budget_spent": config.method == "jcbb" and nodes(seen.corners, view, belief, config) >= BUDGET,
+        }
     return rows
 
 
@@ -172,28 +180,30 @@ def fastest_ms(call: Callable[[], object]) -> float:
     return 1e3 * best_of(call, CALLS)
 
 
-def summarise(drives: list[dict[str, dict[str, list[float]]]]) -> Figures:
+def summarise(drives: list[Sums]) -> Figures:
     """Results of all drives of a set, with 95 % intervals over drives."""
     return {sigma: {name: figures_of(drives, sigma, name) for name in METHODS} for sigma in map(named, SIGMAS)}
 
 
-def figures_of(drives: list[dict[str, dict[str, list[float]]]], sigma: str, name: str) -> Figures:
+def figures_of(drives: list[Sums], sigma: str, name: str) -> Figures:
     """Results of one associator at one sigma."""
-    own, ours, alike = (np.array([drive[sigma][row] for drive in drives]).T for row in (name, DEFAULT, AGAINST[name]))
-    counts = dict(zip(COLUMNS, own, strict=True))
-    polygons_ms = np.array([drive[POLYGONS][POLYGONS][0] for drive in drives])
-    shares = {key: ratio(counts[key], counts["scans"]) for key in ("ms", "right", "polygon", "budget_spent")}
-    times = {"ratio": ours[1], "ratio_with_polygons": ours[1] + polygons_ms, "ratio_same_corners": alike[1]}
-    ratios = {key: ratio(ms, own[1]) for key, ms in times.items()}
-    return {**shares, "wrong": ratio(counts["wrong"], counts["pairs"]), **ratios, "scans": int(counts["scans"].sum())}
+    own, ours, alike = (columns_of([drive[sigma][row] for drive in drives]) for row in (name, DEFAULT, AGAINST[name]))
+    return {
+        **ratios(own, ms="ms/scans", right="right/scans", polygon="polygon/scans", budget_spent="budget_spent/scans"),
+        **ratios(own, wrong="wrong/pairs"),
+        "ratio": ratio(ours["ms"], own["ms"]),
+        "ratio_with_polygons": ratio(ours["ms"] + own["polygons_ms"], own["ms"]),
+        "ratio_same_corners": ratio(alike["ms"], own["ms"]),
+        "scans": int(own["scans"].sum()),
+    }
 
 
 def report(figures: Figures) -> str:
     """Per set a table with a row for each sigma and associator."""
     columns = ["ms", "ratio", "ratio_with_polygons", "ratio_same_corners", "right", "wrong", "polygon", "budget_spent"]
-    parts = []
+    parts = {}
     for layout, cells in figures.items():
         scans = next(iter(cells.values()))[DEFAULT]["scans"]
         rows = [[sigma, name, *(row[c] for c in columns)] for sigma, of in cells.items() for name, row in of.items()]
-        parts.append(f"## {layout} ({scans} scans per row)\n\n{table(['pose', 'associator', *columns], rows)}")
-    return page(__doc__, *parts)
+        parts[f"{layout} ({scans} scans per row)"] = table(["pose", "associator", *columns], rows)
+    return sections(parts)

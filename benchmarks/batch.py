@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import OptionError
+from benchmarks.common import from_extra
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import wrapped
 from mecp_env.core.sensors import Odometry
@@ -217,8 +217,4 @@ def pose_of(gtsam: Any, T: Array) -> Any:
 
 def library() -> Any:
     """GTSAM. Raises `OptionError` where it is not installed."""
-    try:
-        import gtsam
-    except ModuleNotFoundError:
-        raise OptionError("the batch optimum needs GTSAM: pip install -e '.[lab]'") from None
-    return gtsam
+    return from_extra("gtsam", "the batch optimum needs GTSAM")

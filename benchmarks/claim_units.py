@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -45,24 +44,15 @@ KERNEL_SCANS = 5  # the kernel rule is tried in every fifth scan
 def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
     """What one unit measured: its kind, the layout, and a seed or a number of poses."""
     kind, layout, number = unit
-    tasks: dict[str, Callable[[str, int], Figures]] = {
-        "drive": partial(of_drive, records),
-        "ideal": partial(of_ideal, records),
-        "loop": partial(of_loop, records),
-        "scans": of_scans,
-    }
-    return tasks[kind](layout, number)
-
-
-def of_drive(records: Records, layout: str, seed: int) -> Figures:
-    """Counts of each method in closed loop, and what the polygons of `mecp` are like."""
-    drive = records.drive(association.course(layout, seed))
-    return {"methods": of_methods(drive), "polygons": of_polygons(drive, np.random.default_rng(seed))}
-
-
-def of_ideal(records: Records, layout: str, seed: int) -> Figures:
-    """Counts of each method in closed loop with an ideal laser, of whose noise only the filter is told."""
-    return {"methods": of_methods(records.drive(association.course(layout, seed)))}
+    if kind == "scans":
+        return of_scans(layout, number)
+    if kind == "loop":
+        return loop.compare((layout, loop.SCANS, number), records, VARIANTS, SIGMAS)
+    drive = records.drive(association.course(layout, number))
+    methods = of_methods(drive)
+    if kind == "ideal":  # only the filter is told of noise
+        return {"methods": methods}
+    return {"methods": methods, "polygons": of_polygons(drive, np.random.default_rng(number))}
 
 
 def of_methods(drive: Drive) -> dict[str, Figures]:
@@ -142,11 +132,6 @@ def draw_inside(ring: Array, rng: np.random.Generator) -> Array:
     u, v = np.sort(rng.random((2, POINTS)), axis=0)
     inside: Array = INSIDE * (u[:, None] * ring[chosen] + (v - u)[:, None] * following[chosen])
     return inside
-
-
-def of_loop(records: Records, layout: str, seed: int) -> Figures:
-    """Counts of a few variants of `loop` at its two largest errors of the pose."""
-    return loop.compare((layout, loop.SCANS, seed), records, VARIANTS, SIGMAS)
 
 
 def of_scans(layout: str, poses: int) -> Figures:

@@ -7,9 +7,11 @@ from the functions of other benchmarks on fewer drives; their own pages have the
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,14 +25,13 @@ from benchmarks.features import key_of
 from benchmarks.loop import figures_of, named
 from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
 from benchmarks.records import Records
-from benchmarks.tables import flatten, page, readable, table
+from benchmarks.tables import flatten, readable, table
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.world.layout import shipped_layouts
 
 DRIVES = {"paper": 12, "furnished": 6}
 LOOPS = {"paper": 6, "hard": 4}
 POSES = 24  # per layout
-KINDS = ("drive", "ideal", "loop", "scans")
 SITES, SETS, GROUPS = (10, 15, 20, 30, 40), 100, 5  # for the exponent of the cost
 DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
 IDEAL = {association.IDEAL: 12}
@@ -67,148 +68,38 @@ class Claim:
         return "yes" if sides[0] else "no" if sides[1] else "open"
 
 
-MUCH_LOWER = "the variance of the resulting MoG is much lower than the variance of the individual vertices"
-CLAIMS = (
-    Claim(
-        "III-B",
-        MUCH_LOWER,
-        "variance of a polygon's centre over the mean variance of its vertices, in one scan",
-        *("variance/in_a_scan", False, 0.5),
-    ),
-    Claim(
-        "III-B",
-        MUCH_LOWER,
-        "the same for the polygons of the final map, whose vertices share the error of the pose (eq. 3)",
-        *("variance/in_the_map", False, 0.5),
-    ),
-    Claim(
-        "III-B",
-        "This representation allows a very efficient way of associating data",
-        f"time of `mecp_paper` over that of `jcbb` without descriptors, {ROUGH}",
-        *("timed/paper_over_jcbb", False, 1.0),
-        ("timed/mecp_over_jcbb_with_descriptor",),
-    ),
-    Claim(
-        "I",
-        "The low variance of the mean of the polygon assists in improving the feature association",
-        f"share of right scans with polygons beside cliques minus cliques alone, {ROUGH} (`loop`)",
-        *("rough_pose/polygons_gain", True, 0.01),
-        ("rough_pose/polygons_gain_roughest",),
-    ),
-    Claim(
-        "V",
-        "to increase the efficiency and the accuracy of data association",
-        "precision of `mecp_paper`, the rule as written, minus that of `nearest`, in closed loop",
-        *("closed_loop/paper_minus_nearest", True, 0.0),
-        ("closed_loop/paper_precision", "closed_loop/letter_precision", "closed_loop/mecp_precision"),
-    ),
-    Claim(
-        "V",
-        "to increase the efficiency and the accuracy of data association",
-        "the same with an ideal laser, whose noise only the filter assumes (IV)",
-        *("ideal_laser/paper_minus_nearest", True, 0.0),
-        ("ideal_laser/paper_precision", "ideal_laser/letter_precision", "ideal_laser/mecp_precision"),
-    ),
-    Claim(
-        "IV",
-        "two very close features separated by a wall are not mismatched to one another",
-        "such pairs per 1,000 corners with `mecp`: different rooms, less than 0.4 m apart",
-        *("across_a_wall/mecp", False, 1.0),
-    ),
-    Claim(
-        "IV",
-        "Because of the hierarchical room based matching",
-        "the same with rooms, but without descriptors",
-        *("across_a_wall/rooms_alone", False, 1.0),
-        ("across_a_wall/descriptor_alone", "across_a_wall/paper"),
-    ),
-    Claim(
-        "Abstract",
-        "especially effective for association when revisiting previously mapped regions efficiently",
-        "share of returns to a room that end with right pairs and no wrong one, `mecp`",
-        *("revisiting/closure_recall", True, 0.95),
-        ("revisiting/false_closures", "revisiting/paper_closure_recall"),
-    ),
-    Claim(
-        "III-A.1",
-        "a continuous dense representation improved the clustering",
-        "recall of corners with the union of four sweeps minus with one sweep, threshold as written, same poses",
-        *("clustering/union_minus_single", True, 0.0),
-        ("clustering/union_with_noise_minus_single", "clustering_ideal/union_minus_single"),
-    ),
-    Claim(
-        "III-A.1",
-        "a continuous dense representation improved the clustering",
-        "the same with the mean of four sweeps per bearing, our reading, and a noise term",
-        *("clustering/mean_minus_single", True, 0.0),
-        ("clustering_ideal/mean_minus_single",),
-    ),
-    Claim(
-        "III-A.1",
-        "a clustering method that clusters data on the basis of an adaptive threshold",
-        "recall with the threshold as written minus that of the best fixed one, one sweep, noise on every beam",
-        *("clustering/adaptive_minus_fixed", True, 0.0),
-        ("clustering/with_noise_minus_fixed",),
-    ),
-    Claim(
-        "III-A.1",
-        "a clustering method that clusters data on the basis of an adaptive threshold",
-        "the same with an ideal laser, whose noise only the filter assumes (IV)",
-        *("clustering_ideal/adaptive_minus_fixed", True, 0.0),
-        ("clustering_ideal/with_noise_minus_fixed",),
-    ),
-    Claim(
-        "III-A.2",
-        "For each p such that the kernel of P_p includes the robot position",
-        "share of scans whose largest polygon has fewer vertices under this rule, or is lost, than without it",
-        *("kernel_rule/lost", False, 0.01),
-        ("kernel_rule/none",),
-    ),
-    Claim(
-        "III-A.2",
-        "guarantees the visibility of all its vertices as long as the robot is within the MECP",
-        "free lines from random points of a scan's polygon to its vertices",
-        *("polygons/visible", True, 0.99),
-        ("polygons/visible_without_check",),
-    ),
-    Claim(
-        "III-B",
-        "there is no region of the room that is not occupied",
-        "share of the free area under polygons after the exploration",
-        *("polygons/cover", True, 0.99),
-        ("polygons/rooms_with_polygon", "polygons/grid_cover"),
-    ),
-    Claim(
-        "III-A.2",
-        "we attempt to find a unique polygon",
-        "share of scans with a single polygon of most vertices",
-        *("polygons/unique", True, 0.95),
-    ),
-    Claim(
-        "III-A.2",
-        "The complexity of the entire algorithm is O(n^2)",
-        "exponent of the time in the number of sites, 10 to 40, anywhere in a square",
-        *("timed/exponent_uniform", False, 2.0),
-        ("timed/exponent_convex",),
-    ),
-)
+def read_claims(path: Path) -> tuple[Claim, ...]:
+    """The claims of a file; `at_least` or `at_most` is the bound."""
+    found = []
+    for row in tomllib.loads(path.read_text())["claim"]:
+        texts = (row[name] for name in ("section", "sentence", "experiment", "figure"))
+        above = "at_least" in row
+        bound = row["at_least" if above else "at_most"]
+        found.append(Claim(*texts, above, bound, tuple(row.get("beside", ()))))
+    return tuple(found)
+
+
+CLAIMS = read_claims(Path(__file__).with_suffix(".toml"))
 
 
 def run(options: Options) -> Figures:
     """All figures that the claims name."""
     part = 6 if options.quick else 1
     units = [
-        *(("drive", layout, seed) for layout, n in DRIVES.items() for seed in range(max(n // part, 1))),
-        *(("ideal", layout, seed) for layout, n in IDEAL.items() for seed in range(max(n // part, 1))),
-        *(("loop", layout, seed) for layout, n in LOOPS.items() for seed in range(max(n // part, 1))),
-        *(("scans", layout, POSES // part) for layout in shipped_layouts()),
+        (kind, layout, seed)
+        for kind, counts in {"drive": DRIVES, "ideal": IDEAL, "loop": LOOPS}.items()
+        for layout, count in counts.items()
+        for seed in range(max(count // part, 1))
     ]
+    units += [("scans", layout, POSES // part) for layout in shipped_layouts()]
     results = in_parallel(partial(measure, records=Records(options.records)), dict[str, Any], units, options)
-    of = {kind: [r for u, r in zip(units, results, strict=True) if u[0] == kind] for kind in KINDS}
-    closed, rough = of_drives([r["methods"] for r in of["drive"]]), of_loops(of["loop"])
+    of: dict[str, list[Any]] = {}
+    for (kind, *_), result in zip(units, results, strict=True):
+        of.setdefault(kind, []).append(result)
+    rough = of_loops(of["loop"])
     timed = {**rough.pop("timed"), **exponents(SETS // part)}
     return {
-        **closed,
+        **of_drives([r["methods"] for r in of["drive"]]),
         "ideal_laser": precisions([r["methods"] for r in of["ideal"]]),
         **of_polygons([r["polygons"] for r in of["drive"]]),
         **rough,
@@ -344,4 +235,4 @@ def report(figures: Figures) -> str:
         rows.append([sentence, claim.experiment, found, bound, holds, "; ".join(beside)])
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
     every = table(["figure", "value [95 % interval]"], flat.items())
-    return page(__doc__, table(header, rows), "## All figures", every)
+    return f"{table(header, rows)}\n\n## All figures\n\n{every}"

@@ -28,9 +28,9 @@ from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import replay
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from benchmarks.variants import associators, with_change
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
@@ -139,11 +139,7 @@ def clear_hits(corners: Corners, beams: MergedScan) -> Ints:
 
 def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, place: Ints) -> Corners:
     """Corners at `z` (n,2) that are those of `source` (n,), turned; `place` (old n,): where the old ones are now."""
-    cov = np.zeros((2 * len(z), 2 * len(z)))
-    for i, j in np.ndindex(len(z), len(z)):
-        if i == j or not (false[i] or false[j]):
-            a, b = 2 * source[i], 2 * source[j]
-            cov[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] = corners.cov[a : a + 2, b : b + 2]
+    cov = independent(corners.measurements(source)[1], false)
     ways, jambs = corners.doorways, place[corners.doorways.jambs.reshape(-1, 2)]
     there = (jambs >= 0).all(axis=1)
     number = np.append(np.where(there, np.cumsum(there) - 1, -1), -1)  # of each doorway now; the last: of none
@@ -155,17 +151,25 @@ def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, p
     return Corners(z, cov, kind.astype(np.int64), *marks, doorways)
 
 
+def independent(cov: Array, alone: Bools) -> Array:
+    """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
+    correlated = np.repeat(~alone, 2)
+    own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
+    kept: Array = np.where(own | (correlated[:, None] & correlated), cov, 0.0)
+    return kept
+
+
 def report(figures: Figures) -> str:
     """Per layout a table of each metric, with a row per associator and a column per cell."""
-    parts = []
+    parts = {}
     for layout, cells in figures.items():
-        methods = list(dict.fromkeys(chain.from_iterable(cells.values())))
+        methods, tables = list(dict.fromkeys(chain.from_iterable(cells.values()))), []
         columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
-        parts.append(f"## {layout} ({_drives(cells)} drives)")
         for metric in METRICS:
             rows = [[name, *(of.get(name, {}).get(metric, "-") for of in cells.values())] for name in methods]
-            parts.append(table([f"`{metric}`: detection, spurious", *columns], rows))
-    return page(__doc__, *parts)
+            tables.append(table([f"`{metric}`: detection, spurious", *columns], rows))
+        parts[f"{layout} ({_drives(cells)} drives)"] = "\n\n".join(tables)
+    return sections(parts)
 
 
 def _drives(cells: Figures) -> int:

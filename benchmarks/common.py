@@ -1,19 +1,21 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It may have `GATES`, the figures that must not get worse, `report(figures) -> str`, tables in Markdown,
+It has `GATES`, the figures that must not get worse. It may have `report(figures) -> str`, tables in Markdown,
 `figure(figures)`, a figure of matplotlib that is saved as PNG beside them, `pictures(options)`, figures by name that
 are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[str]`, what exceeds its bound.
 """
 
 from __future__ import annotations
 
+import importlib
 import json
 import math
 import os
 import platform
 import sys
 import time
+import timeit
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -48,7 +50,6 @@ class Options:
     sets: tuple[str, ...] = ()  # a subset, for benchmarks with sets
     modules: tuple[str, ...] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
-    sweeps: tuple[int, ...] = (1, 4)  # per scan, in that comparison
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
     records: Path | None = None  # folder of the drives that are replayed; None: they are driven again each time
@@ -87,6 +88,14 @@ def runs_of(options: Options, counts: Mapping[str, int], most: int, quick: int) 
     asked = chosen(options.sets, counts, most) or counts
     most = quick if options.quick else most
     return [(name, number) for name, count in asked.items() for number in range(min(count, most))]
+
+
+def buildings_of(options: Options, settings: Iterable[str], each: int, most: int) -> dict[str, int]:
+    """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
+    if options.buildings > most:
+        raise OptionError(f"--buildings {options.buildings}: the split has {most}")
+    counts = dict.fromkeys(settings, options.buildings or each)
+    return chosen(options.sets, counts, most) or counts
 
 
 def shared_data(kind: str) -> Path | None:
@@ -176,14 +185,15 @@ def steps_per_s(step: Callable[[], int], seconds: float) -> float:
 def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
     """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
     call()
-    return min(_timed(call, calls) for _ in range(repeats)) / calls
+    return min(timeit.repeat(call, repeat=repeats, number=calls)) / calls
 
 
-def _timed(call: Callable[[], object], calls: int) -> float:
-    start = time.perf_counter()
-    for _ in range(calls):
-        call()
-    return time.perf_counter() - start
+def from_extra(package: str, what: str, extra: str = "lab") -> Any:
+    """A package of an extra. Raises `OptionError` that says what needs it where it is not installed."""
+    try:
+        return importlib.import_module(package)
+    except ModuleNotFoundError:
+        raise OptionError(f"{what}: pip install -e '.[{extra}]'") from None
 
 
 @compiled
@@ -234,15 +244,23 @@ def result(name: str, figures: Figures, calibration: float) -> Figures:
     }
 
 
-def markdown(content: Figures, report: str | None) -> str:
-    """The Markdown page of a result: its origin, then the report or all figures in one table."""
-    where = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
-    body = report or table(["figure", "value [95 % interval]"], flatten(content["figures"]).items())
-    return (
-        f"# Benchmark: {content['benchmark']}\n\n"
-        f"{content['date']}, `{content['command']}`; {where}; "
-        f"calibration workload {content['calibration_ms']:.2f} ms.\n\n{body}\n"
-    )
+def page_of(content: Figures, module: Any, picture: str = "") -> str:
+    """The page of a result: its origin, what the benchmark measures, its report or all figures in one table."""
+    machine = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
+    workload = f"calibration workload {content['calibration_ms']:.2f} ms"
+    parts = [
+        f"# Benchmark: {content['benchmark']}",
+        f"{content['date']}, `{content['command']}`; {machine}; {workload}.",
+        (module.__doc__ or "").strip(),
+        getattr(module, "report", all_figures)(content["figures"]),
+        f"![{content['benchmark']}]({picture})" if picture and hasattr(module, "figure") else "",
+    ]
+    return "\n\n".join(part for part in parts if part) + "\n"
+
+
+def all_figures(figures: Figures) -> str:
+    """One table of all figures."""
+    return table(["figure", "value [95 % interval]"], flatten(figures).items())
 
 
 def save(content: Figures, page: str, path: Path) -> None:

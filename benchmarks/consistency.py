@@ -31,7 +31,7 @@ from benchmarks.drives import Drive
 from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
 from benchmarks.plots import DASHES, GREYS
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table_of
+from benchmarks.tables import sections, table_of
 from mecp_env.core.carriers import Array
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
@@ -215,14 +215,14 @@ def report(figures: Figures) -> str:
     """Per model a table with one row per filter."""
     columns = ["nees", "landmark_nees", "landmark_rms_m", "over_batch", "sigma_over_batch", "rmse_m"]
     columns += [f"{name}_minus_{BASE}" for name in ("nees", "landmark_nees", "landmark_rms_m")]
-    parts = []
+    parts = {}
     for model, rows in figures.items():
         n = rows[BASE]["nees"]["n"]
         low, high = band(n)
-        head = f"## {model} ({n} drives)\n\nThe mean of {n} NEES of a pose is in [{low:.2f}, {high:.2f}] in 95 %."
+        head = f"The mean of {n} NEES of a pose is in [{low:.2f}, {high:.2f}] in 95 %."
         said = f" `batch`: chi2 per degree of freedom {rows[BATCH]['chi2_over_freedom']['value']:.3f}."
-        parts.append(f"{head}{said}\n\n{table_of('filter', columns, rows)}")
-    return page(__doc__, *parts)
+        parts[f"{model} ({n} drives)"] = f"{head}{said}\n\n{table_of('filter', columns, rows)}"
+    return sections(parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -9,14 +9,14 @@ per step in two blocks of the same turn.
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
 
 from benchmarks.common import Figures
 from benchmarks.drives import drive_at_random, exploration
-from benchmarks.tables import table
+from benchmarks.tables import table_of
 from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
@@ -40,10 +40,11 @@ MAX_STEPS = 3000
 
 def measure(turns: int) -> Figures:
     """For random actions and the explorer: us per step in each setting, and its ratio to the empty layout."""
-    return {name: compared(drive, turns) for name, drive in (("random", random_drive), ("bfs", explore))}
+    drives = {"random": partial(drive_at_random, steps=RANDOM_STEPS), "bfs": explore}
+    return {name: compared(drive, turns) for name, drive in drives.items()}
 
 
-def compared(drive: Callable[[MecpEnv, int], None], turns: int) -> Figures:
+def compared(drive: Callable[..., None], turns: int) -> Figures:
     """`us` per environment step, `with_driver_us` with planner and controller, and their ratios to the empty layout."""
     blocks = [{name: block(name, drive, turn) for name in SETTINGS} for turn in range(-1, turns)][1:]  # one for warm-up
     return {name: figures([(turn[name], turn[BARE]) for turn in blocks]) for name in SETTINGS}
@@ -51,33 +52,21 @@ def compared(drive: Callable[[MecpEnv, int], None], turns: int) -> Figures:
 
 def figures(pairs: list[tuple[Stopwatch, Stopwatch]]) -> Figures:
     """The figures of a setting from its blocks, each paired with a block of the empty layout."""
-    step = np.array([[step_us(watch) for watch in pair] for pair in pairs])
-    whole = np.array([[step_us(watch) + drive_us(watch) for watch in pair] for pair in pairs])
-    return {
-        "us": estimate(step[:, 0]),
-        "with_driver_us": estimate(whole[:, 0]),
-        "ratio": estimate(step[:, 0] / step[:, 1]),
-        "with_driver_ratio": estimate(whole[:, 0] / whole[:, 1]),
-    }
+    seconds = np.array([[(watch.seconds["step"], watch.seconds["drive"]) for watch in pair] for pair in pairs])
+    us = 1e6 * seconds / np.array([[[watch.steps] for watch in pair] for pair in pairs])
+    found: Figures = {}
+    for prefix, of in {"": us[:, :, 0], "with_driver_": us.sum(axis=2)}.items():
+        found |= {f"{prefix}us": estimate(of[:, 0]), f"{prefix}ratio": estimate(of[:, 0] / of[:, 1])}
+    return found
 
 
-def step_us(watch: Stopwatch) -> float:
-    """Mean time per step, us."""
-    return 1e6 * watch.seconds["step"] / watch.steps
-
-
-def drive_us(watch: Stopwatch) -> float:
-    """Mean time between two steps of a goal action, us."""
-    return 1e6 * watch.seconds["drive"] / watch.steps
-
-
-def block(setting: str, drive: Callable[[MecpEnv, int], None], turn: int) -> Stopwatch:
+def block(setting: str, drive: Callable[..., None], turn: int) -> Stopwatch:
     """One drive in a setting, timed."""
     generated, moving = SETTINGS[setting]
     layout = building(max(turn, 0)) if generated else BARE
     env = MecpEnv(layout=layout, start="random", max_steps=MAX_STEPS, **moving)
     with timed_stages(each=False) as watch:
-        drive(env, turn + 1)
+        drive(env, seed=turn + 1)
     return watch
 
 
@@ -94,18 +83,9 @@ def building(number: int) -> Layout:
 
 def report(measured: Figures) -> str:
     """One table with one row per setting."""
-    names = ("us", "with_driver_us", "ratio", "with_driver_ratio")
-    rows = [
-        (actions, setting, *(values[name] for name in names))
-        for actions, settings in measured.items()
-        for setting, values in settings.items()
-    ]
-    return table(["actions", "where", "us", "with planner and controller, us", "ratio", "ratio with both"], rows)
-
-
-def random_drive(env: MecpEnv, seed: int) -> None:
-    """Random velocities for some steps."""
-    drive_at_random(env, RANDOM_STEPS, seed)
+    columns = ("us", "with_driver_us", "ratio", "with_driver_ratio")
+    rows = {f"{actions}, {setting}": of for actions, settings in measured.items() for setting, of in settings.items()}
+    return table_of("actions, where", columns, rows)
 
 
 def explore(env: MecpEnv, seed: int) -> None:

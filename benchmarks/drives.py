@@ -13,7 +13,7 @@ from benchmarks.errors import nees as nees_of
 from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
-from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
@@ -22,7 +22,7 @@ from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.association import OracleAssociator, make_associator
 from mecp_env.slam.config import AssociationConfig, SlamConfig
-from mecp_env.slam.messages import Corners, MapView, Match, Polygon
+from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
@@ -43,9 +43,13 @@ class Drive:
     scans: list[Scan]
     T_world_robot: list[Array]  # true poses
 
-    def outputs(self, pipeline: SlamPipeline) -> Iterator[tuple[SlamOutput, Array]]:
-        """The output of an estimator at each scan, and the true pose (3,) there."""
+    def outputs(
+        self, pipeline: SlamPipeline, associator: Associator | None = None
+    ) -> Iterator[tuple[SlamOutput, Array]]:
+        """The output of an estimator at each scan, and the true pose (3,) there; `known` gets the true pairs."""
         for odometry, scan, T_world_robot in zip(self.odometry, self.scans, self.T_world_robot, strict=True):
+            if isinstance(associator, OracleAssociator):
+                associator.correspondences = self.truth.correspondences(T_world_robot)
             yield pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan), T_world_robot
 
 
@@ -55,58 +59,54 @@ class Replay:
 
     log: AssociationLog
     error_m: Array  # (n,) position error after each scan
-    error_rad: Array  # (n,) heading error
     nees: Array  # (n,) pose NEES, 3 expected
     position_nees: Array  # (n,) of the position alone, 2 expected
-    duplicates: int
-    map_rmse_m: float  # of the landmarks from their true corners
-    landmarks_false: int  # that are of no true corner
-    landmark_nees: float  # 2 expected
-    pair_nees: float  # of the offset of two landmarks seen together, 2 expected
-    diverged: bool
-    associate_ms: float  # median per scan
-    far: int  # corners beyond 93 % of the laser's range
-    phantoms: int  # those of them that do not exist
-    polygon_share: float  # of the scans, with a polygon
-
-    @property
-    def counts(self) -> dict[str, Any]:
-        """The figures of the whole drive."""
-        tp, fp, fn, _ = (int(n) for n in self.log.final_counts())
-        plain = ("map_rmse_m", "landmarks_false", "duplicates", "far", "phantoms", "associate_ms", "polygon_share")
-        return {
-            "tp": tp,
-            "fp": fp,
-            "fn": fn,
-            "rmse_m": float(np.sqrt((self.error_m**2).mean())),
-            "nees": float(self.nees.mean()),
-            "lost": is_lost(self.error_m, self.error_rad, self.diverged),
-            **{name: getattr(self, name) for name in (*plain, "landmark_nees", "pair_nees")},
-        }
+    counts: dict[str, Any]  # of the whole drive
 
 
 @dataclass(slots=True, eq=False)
-class TimedAssociator(Associator):
-    """An associator, and how long it takes."""
+class WatchedAssociator(Associator):
+    """An associator, how long it takes, and what part of its decisions polygons made."""
 
-    timed: Associator
+    watched: Associator
     seconds: list[float] = field(default_factory=list)  # of each scan
+    scans: list[tuple[int, int, bool, int]] = field(default_factory=list)  # corners, paired by a polygon, ...
+    first: list[tuple[int, float]] = field(default_factory=list)  # vertices and m2 of the first polygon, where any is
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """The match of the associator."""
         begun = time.perf_counter()
-        match = self.timed.associate(corners, polygons, view, belief)
+        match = self.watched.associate(corners, polygons, view, belief)
         self.seconds.append(time.perf_counter() - begun)
+        paired = int((match.reason == Reason.POLYGON).sum())
+        self.scans.append((len(corners), paired, match.polygon >= 0, len(polygons)))
+        if polygons:
+            ring = polar_to_points(corners.z[polygons[0].corners])
+            following = np.roll(ring, -1, axis=0)
+            twice_m2 = (ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]).sum()
+            self.first.append((len(ring), 0.5 * float(twice_m2)))
         return match
 
     def remember(self, match: Match) -> None:
         """As the associator does."""
-        self.timed.remember(match)
+        self.watched.remember(match)
 
     @property
-    def median_ms(self) -> float:
-        """Milliseconds per scan."""
-        return 1e3 * float(np.median(self.seconds))
+    def counts(self) -> dict[str, Any]:
+        """Milliseconds per scan, the median; and sums and means over the drive."""
+        seen, paired, recognised, polygons = np.array(self.scans).T
+        vertices, area_m2 = [float(np.mean(of)) for of in zip(*self.first, strict=True)] or (0.0, 0.0)
+        return {
+            "associate_ms": 1e3 * float(np.median(self.seconds)),
+            "seen": int(seen.sum()),
+            "paired": int(paired.sum()),
+            "recognised": int(recognised.sum()),
+            "scans": len(self.scans),
+            "found": len(self.first),
+            "unique": int((polygons == 1).sum()),
+            "vertices": vertices,
+            "area_m2": area_m2,
+        }
 
 
 class RecordingEnv(MecpEnv):
@@ -168,32 +168,55 @@ def replay(
     estimator: Callable[..., SlamPipeline] = SlamPipeline,
 ) -> Replay:
     """Run an estimator on a drive; its decisions feed back into its filter (closed loop)."""
-    associator = TimedAssociator(make(slam.association))
+    associator = WatchedAssociator(make(slam.association))
     pipeline = estimator(slam, associator=associator)
     log = AssociationLog(len(drive.truth.outline.corners))
     T_map_world = inverse(drive.T_world_robot[0])
-    errors, covs, polygons, far = [], [], [], np.zeros(2, np.int64)
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        if isinstance(associator.timed, OracleAssociator):
-            associator.timed.correspondences = drive.truth.correspondences(T_world_robot)
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
+    errors, covs, seen = [], [], []
+    for output, T_world_robot in drive.outputs(pipeline, associator.watched):
         true = drive.truth.identify(output.corners, T_world_robot)
         log.record(output, true)
-        far += far_corners(output, true)
-        polygons.append(bool(output.polygons))
+        seen.append((*far_corners(output, true), bool(output.polygons)))
         error = compose(T_map_world, T_world_robot) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         errors.append(error)
         covs.append(output.belief.pose_cov)
         if output.diverged:
             break
-    nees, position_nees = (nees_of(np.array(errors)[:, :size], np.array(covs)[:, :size, :size]) for size in (3, 2))
     x, y, heading = np.array(errors).T
-    duplicates = log.duplicates(output.belief.ids)
-    metrics = EpisodeMetrics(drive.T_world_robot[0], T_map_world, np.empty((0, 0), np.bool_), log)
-    of_map = metrics.map_error(drive.truth, output.belief) + map_nees(drive.truth, log, pipeline.filter, T_map_world)
-    scores = log, np.hypot(x, y), heading, nees, position_nees, duplicates, *of_map, output.diverged
-    return Replay(*scores, associator.median_ms, *far.tolist(), float(np.mean(polygons)))
+    error_m, (far, phantoms, with_polygon) = np.hypot(x, y), np.array(seen).T
+    nees, position_nees = (nees_of(np.array(errors)[:, :size], np.array(covs)[:, :size, :size]) for size in (3, 2))
+    counts = {
+        "rmse_m": float(np.sqrt((error_m**2).mean())),
+        "nees": float(nees.mean()),
+        "lost": is_lost(error_m, heading, output.diverged),
+        "far": int(far.sum()),  # corners beyond 93 % of the laser's range
+        "phantoms": int(phantoms.sum()),  # those of them that do not exist
+        "polygon_share": float(with_polygon.mean()),  # of the scans, with a polygon
+        **map_counts(drive, log, pipeline.filter, output),
+        **associator.counts,
+    }
+    return Replay(log, error_m, nees, position_nees, counts)
+
+
+def map_counts(drive: Drive, log: AssociationLog, belief: Filter, output: SlamOutput) -> dict[str, Any]:
+    """Right, wrong and missed pairs of a drive, and errors of the map at its end."""
+    start = drive.T_world_robot[0]
+    T_map_world = inverse(start)
+    metrics = EpisodeMetrics(start, T_map_world, np.empty((0, 0), np.bool_), log)
+    map_rmse_m, landmarks_false = metrics.map_error(drive.truth, output.belief)
+    landmark_nees, pair_nees = map_nees(drive.truth, log, belief, T_map_world)
+    tp, fp, fn, _ = (int(n) for n in log.final_counts())
+    return {
+        "tp": tp,
+        "fp": fp,
+        "fn": fn,
+        "map_rmse_m": map_rmse_m,  # of the landmarks from their true corners
+        "landmarks_false": landmarks_false,  # that are of no true corner
+        "duplicates": log.duplicates(output.belief.ids),
+        "landmark_nees": landmark_nees,  # 2 expected
+        "pair_nees": pair_nees,  # of the offset of two landmarks seen together, 2 expected
+    }
 
 
 def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:

@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.columns import columns_of, means, ratios
+from benchmarks.columns import of_visits
 from benchmarks.common import Figures, Gate, Options, grouped, in_parallel
-from benchmarks.tables import table
+from benchmarks.tables import sections, turned
+from benchmarks.worlds import COMPLETE_COVERAGE, found_all
 from mecp_env.core.intervals import estimate, share
 from mecp_env.policies.registry import make_policy
 from mecp_env.registration import make
@@ -29,8 +30,12 @@ EXPLORERS = {
 SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
 QUICK = {"paper": 2, "two_rooms": 3}
 LEVELS = (0.90, 0.99)
-COMPLETE_COVERAGE = 0.95
 MAX_STEPS = 3000
+TOTALS = (
+    *("coverage", "rooms_found", "rooms_false", "doors_found", "doors_false", "door_error_m", "polygon_cover"),
+    *("grid_cover", "grid_iou", "periods", "metres", "contacts_per_100_m", "pose_rmse_m", "nees", "map_rmse_m"),
+    *("landmarks_false", "duplicates"),
+)
 
 GATES = (
     Gate("paper/breadth first/complete", "share", 0.03),
@@ -89,27 +94,15 @@ def explore(task: tuple[str, str, int]) -> Episode:
 
 def is_complete(final: dict[str, float]) -> bool:
     """True when every room and door was found and 95 % of the free area was seen."""
-    found = final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
-    return bool(found and final["coverage"] >= COMPLETE_COVERAGE)
+    return found_all(final) and final["coverage"] >= COMPLETE_COVERAGE
 
 
 def summarise(episodes: list[Episode]) -> Figures:
     """Results of one explorer on one layout, each with its 95 % interval."""
     finals = [episode.final for episode in episodes]
 
-    of = columns_of(finals)
-    of |= {"nees": of["nees_mean"], "contacts_100": 100.0 * of["contacts"]}
-    figures: Figures = {
-        "complete": share(is_complete(final) for final in finals),
-        "lost": share(of["lost"]),
-        **means(of, "coverage"),
-        **ratios(of, rooms_found="rooms_found/rooms"),
-        **means(of, "rooms_false"),
-        **ratios(of, doors_found="doors_found/doors"),
-        **means(of, "doors_false", "door_error_m", "polygon_cover", "grid_cover", "grid_iou", "periods", "metres"),
-        **ratios(of, contacts_per_100_m="contacts_100/metres"),
-        **means(of, "pose_rmse_m", "nees", "map_rmse_m", "landmarks_false", "duplicates"),
-    }
+    figures: Figures = {"complete": share(map(is_complete, finals)), "lost": share(final["lost"] for final in finals)}
+    figures |= of_visits(finals, TOTALS)
     for level in LEVELS:
         figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.steps[level]) for episode in episodes)
         figures[f"periods_to_{level:.0%}"] = estimate([episode.steps[level] for episode in episodes])
@@ -120,10 +113,9 @@ def summarise(episodes: list[Episode]) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per layout."""
-    parts = [__doc__ or ""]
-    for layout, explorers in figures.items():
-        seeds = next(iter(explorers.values()))["complete"]["n"]
-        names = next(iter(explorers.values()))
-        rows = [(name.replace("_", " "), *(e[name] for e in explorers.values())) for name in names]
-        parts.append(f"## {layout}, {seeds} seeds\n\n{table(['', *explorers], rows)}")
-    return "\n\n".join(parts)
+    return sections(
+        {
+            f"{layout}, {next(iter(explorers.values()))['complete']['n']} seeds": turned(explorers)
+            for layout, explorers in figures.items()
+        }
+    )

@@ -16,7 +16,7 @@ import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, in_parallel
 from benchmarks.corner_scores import Score, make_places, score_places
-from benchmarks.tables import readable, table, table_of
+from benchmarks.tables import readable, sections, table, table_of, whole_rows
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
@@ -34,6 +34,7 @@ KINDS: dict[str, Callable[[Array], Bools]] = {
     "free end": lambda rows: rows[:, 0] == CornerKind.FREE_END,
     "jamb": lambda rows: rows[:, 0] == CornerKind.JAMB,
 }
+RECALLS = "`recall` counts detectable corners, `recall_rest` all others in line of sight (posts of doors among them)."
 STAGES = ("sweeps", "clustering", "segments", "corners")
 
 GATES = (
@@ -132,20 +133,23 @@ def report(figures: Figures) -> str:
     """The page: presets, calibration, layouts, thresholds, times."""
     presets: dict[str, Any] = figures["presets"]
     names = ("precision", "recall", "recall_rest", "rms_error_m", "NIS", "NIS_over_13.8", "doors_found", "false_doors")
-    parts = [
-        f"{figures['poses']} random poses in {', '.join(figures['layouts'])}; 95 % intervals over poses.",
-        "## Corners and doors\n\n"
-        "`recall` counts detectable corners, `recall_rest` all others in line of sight (posts of doors among them).\n\n"
-        + table_of("preset", names, presets),
-        "## Calibration: mean NIS by kind and range (2 expected)\n\n"
-        + "\n\n".join(f"{key}\n\n{calibration(preset)}" for key, preset in presets.items()),
-        "## Layouts, paper K=4\n\n" + rate_table(figures["layouts"]),
-        "## Clustering thresholds\n\n"
-        + "\n\n".join(f"{key}\n\n{rate_table(rows)}" for key, rows in figures["thresholds"].items()),
-        "## Time, microseconds (median)\n\n"
-        + table(["preset", *STAGES, "total"], [[key, *preset["us"].values()] for key, preset in presets.items()]),
-    ]
-    return "\n\n".join(parts)
+    calibrations = {key: calibration(preset) for key, preset in presets.items()}
+    thresholds = {key: rate_table(rows) for key, rows in figures["thresholds"].items()}
+    us = {key: preset["us"] for key, preset in presets.items()}
+    parts = {
+        "Corners and doors": f"{RECALLS}\n\n{table_of('preset', names, presets)}",
+        "Calibration: mean NIS by kind and range (2 expected)": below(calibrations),
+        "Layouts, paper K=4": rate_table(figures["layouts"]),
+        "Clustering thresholds": below(thresholds),
+        "Time, microseconds (median)": whole_rows(["preset", *STAGES, "total"], us),
+    }
+    said = f"{figures['poses']} random poses in {', '.join(figures['layouts'])}; 95 % intervals over poses."
+    return f"{said}\n\n{sections(parts)}"
+
+
+def below(tables: dict[str, str]) -> str:
+    """Each table below its name."""
+    return "\n\n".join(f"{name}\n\n{body}" for name, body in tables.items())
 
 
 def calibration(preset: Figures) -> str:

@@ -21,12 +21,11 @@ from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import Drive
 from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
-from benchmarks.tables import page, table
+from benchmarks.tables import flatten, sections, table
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.render import shapes
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
@@ -167,8 +166,7 @@ def of_centre(centre: Centre) -> Figures:
 
 def polygons_of(output: SlamOutput) -> Figures:
     """Rooms, doors, polygons of landmarks, and the vertices that polygons of different rooms share."""
-    where = shapes.positions(output.belief)
-    whole = [polygon for polygon in output.map_polygons if all(int(i) in where for i in polygon.ids)]
+    whole = paper_plots.whole_polygons(output)
     rooms: dict[int, set[int]] = {}
     for polygon in whole:
         rooms.setdefault(output.graph.resolve(polygon.room), set()).update(map(int, polygon.ids))
@@ -197,15 +195,10 @@ def errors_of(shown: Shown) -> Figures:
 
 def report(figures: Figures) -> str:
     """The pictures, each with its numbers."""
-    parts = []
-    for name, numbers in figures.items():
-        rows = (
-            numbers.items()
-            if name != "fig4"
-            else ((f"{w}: {k}", v) for w, of in numbers.items() for k, v in of.items())
-        )
-        title = f"## Figure {name[3:]}: {paper_plots.TITLES[name]}"
-        parts.append(
-            f"{title}\n\n![{paper_plots.TITLES[name]}](figures/{name}.png)\n\n{table(['figure', 'value'], rows)}"
-        )
-    return page(__doc__, *parts)
+    return sections(
+        {
+            f"Figure {name[3:]}: {paper_plots.TITLES[name]}": f"![{paper_plots.TITLES[name]}](figures/{name}.png)\n\n"
+            + table(["figure", "value"], flatten(numbers).items())
+            for name, numbers in figures.items()
+        }
+    )

@@ -11,19 +11,18 @@ random goals.
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import gymnasium
 import numpy as np
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options
-from benchmarks.tables import table
+from benchmarks.common import Figures, Gate, Options, in_turns
+from benchmarks.random_actions import RandomDriver, goal, velocity
+from benchmarks.tables import whole_rows
 from mecp_env.core.intervals import estimate, share
 from mecp_env.env import MecpEnv
-from mecp_env.episode.observation_arrays import GOALS
 
 BUILDINGS: dict[str, dict[str, Any]] = {
     "PaperMap": {"id": "mecp_env/PaperMap-v0"},
@@ -47,48 +46,32 @@ def run(options: Options) -> Figures:
 
 def compare(name: str, actions: str, rounds: int) -> Figures:
     """Milliseconds per control step of each format, and their ratios to "dict", over the rounds after the first."""
-    drivers = {word: Driver(name, actions, word) for word in FORMATS}
-    ms = [{word: driver.block_ms(BLOCK[actions]) for word, driver in drivers.items()} for _ in range(rounds + 1)][1:]
+    drivers = {word: driver_of(name, actions, word) for word in FORMATS}
+    blocks = {word: partial(block_ms, driver, BLOCK[actions]) for word, driver in drivers.items()}
+    ms = in_turns(blocks, rounds + 1)[1:]  # the first loads compiled functions
     ratios = {word: estimate(np.array([one[word] / one["dict"] for one in ms])) for word in FORMATS[1:]}
     return {"dict_ms": estimate(np.array([one["dict"] for one in ms])), **ratios}
 
 
-class Driver:
-    """An environment of a format, driven with random actions."""
-
-    def __init__(self, name: str, actions: str, observation: str) -> None:
-        self.env = make(name, actions=actions, observation="dict" if observation == "none" else observation)
-        self.base: Any = self.env.unwrapped
-        if observation == "none":
-            self.base.observation = dict
-        self.rng = np.random.default_rng(0)
-        self.choose: Callable[[], Any] = self.velocity if actions == "velocity" else self.goal
-        self.env.reset(seed=0)
-
-    def velocity(self) -> Any:
-        """Forward, with some turning."""
-        return self.rng.uniform([0.3, -0.4], [1.0, 0.4]).astype(np.float32)
-
-    def goal(self) -> int:
-        """One of the goals that are offered."""
-        return int(self.rng.integers(max(1, min(GOALS, len(self.base.goals)))))
-
-    def block_ms(self, actions: int) -> float:
-        """CPU time per control step of a block of actions, resets left out."""
-        spent_s, steps = 0.0, 0
-        for _ in range(actions):
-            action, start = self.choose(), time.process_time()
-            _, _, terminated, truncated, info = self.env.step(action)
-            spent_s, steps = spent_s + time.process_time() - start, steps + info.get("periods", 1)
-            if terminated or truncated:
-                self.env.reset()
-        return 1e3 * spent_s / steps
+def driver_of(name: str, actions: str, observation: str) -> RandomDriver:
+    """An environment with a format of the observation."""
+    env = make(name, actions=actions, observation="dict" if observation == "none" else observation)
+    if observation == "none":
+        env.unwrapped.observation = dict
+    return RandomDriver(env, velocity if actions == "velocity" else goal)
 
 
-def make(name: str, **fields: Any) -> gymnasium.Env[Any, Any]:
+def block_ms(driver: RandomDriver, actions: int) -> float:
+    """CPU time per control step of a block of actions, resets left out."""
+    before = driver.processor_s
+    steps = sum(driver.step() for _ in range(actions))
+    return 1e3 * (driver.processor_s - before) / steps
+
+
+def make(name: str, **fields: Any) -> Any:
     """The environment of a building, without Gymnasium's checks of each step."""
     own = dict(OFFERED[name])
-    env: gymnasium.Env[Any, Any] = gymnasium.make(own.pop("id"), disable_env_checker=True, **own, **fields)
+    env: Any = gymnasium.make(own.pop("id"), disable_env_checker=True, **own, **fields)
     assert isinstance(env.unwrapped, MecpEnv)
     return env.env  # without the check of the order of reset and step
 
@@ -112,8 +95,6 @@ def rows_described(name: str, episodes: int) -> Figures:
 
 def report(figures: Figures) -> str:
     """A table of times and one of rows."""
-    times = [(name, *values.values()) for name, values in figures["time"].items()]
-    rows = [(name, *values.values()) for name, values in figures["rows"].items()]
     heads = ["building, actions", "dict, ms per control step", *(f"{word} / dict" for word in FORMATS[1:])]
     described = ["building", "share of offered rows described", "rows offered per decision", "decisions"]
-    return f"{__doc__}\n{table(heads, times)}\n\n{table(described, rows)}"
+    return f"{whole_rows(heads, figures['time'])}\n\n{whole_rows(described, figures['rows'])}"

@@ -25,11 +25,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
+from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table, table_of
+from benchmarks.tables import table, table_of
 from benchmarks.variants import RIVALS, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.intervals import estimate, ratio
@@ -153,29 +154,39 @@ def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
 
 def summarise(drives: list[Figures]) -> Figures:
     """Results of all drives of a layout, with 95 % intervals over drives."""
-    cells: Figures = {}
-    for kind in KINDS:
-        of_kind = [drive[kind] for drive in drives]
-        events = np.array([float(len(one)) for one in of_kind])
-        shares = {
-            name: ratio(np.array([float(sum(event[name] for event in one)) for one in of_kind]), events)
-            for name in SHARES
-        }
-        wrong = sum(event["accepted"] for one in of_kind for event in one)
-        right = [np.array([[scan[1] < WRONG_M for scan in event["trace"]] for event in one]) for one in of_kind]
-        after = [ratio(np.array([float(one[:, k].sum()) for one in right]), events) for k in SHOWN]
-        cells[kind] = {**shares, "right_after": after, "wrong_poses": int(wrong), "events": int(events.sum())}
+    cells = {kind: of_events([drive[kind] for drive in drives]) for kind in KINDS}
     traces = [scans_of(drive) for drive in drives]
-    before = [np.array(drive["before"]) for drive in drives]
-    alarms = [float(((of[:, 0] < DOUBTED) & (of[:, 1] < WRONG_M)).sum()) for of in before]
+    before = columns_of([alarms_of(np.array(drive["before"])) for drive in drives])
     cells["confidence"] = {
         "auc": estimate([roc_area(*of.T) for of in traces]),
         "calibration": estimate([calibration_error(*of.T) for of in traces]),
         "auc_of_all": roc_area(*np.concatenate(traces).T),
         "calibration_of_all": calibration_error(*np.concatenate(traces).T),
-        "false_alarms": ratio(np.array(alarms), np.array([float(len(of)) for of in before])),
+        **ratios(before, false_alarms="alarms/scans"),
     }
     return cells
+
+
+def of_events(drives: list[list[Figures]]) -> Figures:
+    """Results of the events of a kind on each drive."""
+    rows = [
+        {name: sum(event[name] for event in events) for name in (*SHARES, "accepted")}
+        | {f"right_{k}": sum(event["trace"][k][1] < WRONG_M for event in events) for k in SHOWN}
+        | {"events": len(events)}
+        for events in drives
+    ]
+    of = columns_of(rows)
+    return {
+        **ratios(of, **{name: f"{name}/events" for name in SHARES}),
+        "right_after": [ratio(of[f"right_{k}"], of["events"]) for k in SHOWN],
+        "wrong_poses": int(of["accepted"].sum()),
+        "events": int(of["events"].sum()),
+    }
+
+
+def alarms_of(scans: Array) -> Figures:
+    """False alarms among scans (n,2) of confidence and position error."""
+    return {"alarms": ((scans[:, 0] < DOUBTED) & (scans[:, 1] < WRONG_M)).sum(), "scans": len(scans)}
 
 
 def scans_of(drive: Figures) -> Array:
@@ -215,4 +226,4 @@ def report(figures: Figures) -> str:
     rows = [[layout, kind, *(cells[kind][c] for c in columns)] for layout, cells in figures.items() for kind in KINDS]
     scores = ["auc", "calibration", "auc_of_all", "calibration_of_all", "false_alarms"]
     confidence = {layout: cells["confidence"] for layout, cells in figures.items()}
-    return page(__doc__, table(["layout", "event", *columns], rows), table_of("layout", scores, confidence))
+    return f"{table(['layout', 'event', *columns], rows)}\n\n{table_of('layout', scores, confidence)}"

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import OptionError
+from benchmarks.common import from_extra
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
 from mecp_env.slam.association import CcdaAssociator, MatchBuilder
@@ -133,11 +133,7 @@ def installed() -> bool:
 
 def library() -> Any:
     """KISS-Matcher. Raises `OptionError` where it is not installed."""
-    try:
-        import kiss_matcher
-    except ModuleNotFoundError:
-        raise OptionError("the rows `kiss-matcher` need KISS-Matcher: pip install -e '.[lab]'") from None
-    return kiss_matcher
+    return from_extra(PACKAGE, "the rows `kiss-matcher` need KISS-Matcher")
 
 
 def _planar(solution: Any) -> Array | None:

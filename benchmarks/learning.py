@@ -15,7 +15,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, steps_per_s
-from benchmarks.tables import table
+from benchmarks.random_actions import RandomDriver, goal, velocity
+from benchmarks.tables import whole_rows
 from mecp_env.core.intervals import estimate
 
 ALGORITHMS = ("maskable_ppo", "ppo")
@@ -32,7 +33,10 @@ def run(options: Options) -> Figures:
 
 def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:
     """Speed of an algorithm over the rounds; `fields` of the configuration."""
-    single = Single(algorithm, fields)
+    from mecp_env.learning.environments import make_env
+
+    choose = goal if algorithm == "maskable_ppo" else velocity
+    single = RandomDriver(make_env(configuration(algorithm, fields)), choose)
     steps_per_s(single.step, seconds)  # loads compiled functions and fills caches
     measured = [(steps_per_s(single.step, seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
     alone, rates, waiting = (np.array(column) for column in zip(*measured, strict=True))
@@ -65,31 +69,7 @@ def configuration(algorithm: str, fields: dict[str, Any], updates: int = 1) -> A
     return config.model_copy(update={"steps": config.ppo.steps * config.environments * updates})
 
 
-class Single:
-    """An environment of a training, driven with random actions."""
-
-    def __init__(self, algorithm: str, fields: dict[str, Any]) -> None:
-        from mecp_env.learning.environments import make_env
-
-        self.goals = algorithm == "maskable_ppo"
-        self.env, self.rng = make_env(configuration(algorithm, fields)), np.random.default_rng(0)
-        self.observation = self.env.reset(seed=0)[0]
-
-    def step(self) -> int:
-        """One action: its control steps."""
-        self.observation, _, terminated, truncated, info = self.env.step(self.choose())
-        if terminated or truncated:
-            self.observation = self.env.reset()[0]
-        return int(info["periods"])
-
-    def choose(self) -> Any:
-        """Any goal, or mostly forward."""
-        if self.goals:
-            return int(self.rng.integers(max(1, int((self.observation["goals"][:, 8] == 1.0).sum()))))
-        return self.rng.uniform([0.3, -0.4], [1.0, 0.4]).astype(np.float32)
-
-
 def report(figures: Figures) -> str:
     """One row per algorithm."""
     heads = ["algorithm", "steps per second, including learning", "single environment", "ratio", "waiting"]
-    return f"{__doc__}\n{table(heads, [(name, *values.values()) for name, values in figures.items()])}"
+    return whole_rows(heads, figures)

@@ -32,7 +32,7 @@ from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from benchmarks.variants import (
     CLIPPER,
     DEFAULT,
@@ -52,10 +52,9 @@ from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.frontend.front_end import front_end as features_of
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, MergedScan, Polygon
+from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.protocols import Associator
-from mecp_env.world.schema import Layout
+from mecp_env.slam.protocols import Associator, Filter
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
 VARIANTS: dict[str, Variant] = {
@@ -81,6 +80,7 @@ HARD, FIRST_BUILDING, MAX_STEPS = "hard", 500, 10_000  # the buildings before ar
 SCANS, FIRST_SCAN = 20, 10  # per drive; the first one
 QUICK_DRIVES, QUICK_SCANS = 2, 4
 RIGHT_PAIRS = 3
+WITHOUT_KISS = "KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing."
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
     "wrong": "Share of pairs that are wrong:",
@@ -175,11 +175,6 @@ def course(layout: str, seed: int) -> Course:
     return Course(place(layout, seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
-def building(layout: str, seed: int) -> Layout:
-    """The building of a drive."""
-    return course(layout, seed).building()
-
-
 def finish(drive: Drive) -> Finished:
     """The map that the default estimator makes of a drive."""
     pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
@@ -207,30 +202,40 @@ def count_scans(
     finished: Finished, associator: Associator, looks: list[Look], sigma: tuple[float, float], errors: Array
 ) -> Figures:
     """Counts of one associator on the scans, with `errors` (n,3) of the pose in units of sigma."""
-    pipeline, (sigma_m, sigma_rad) = finished.pipeline, (sigma[0], math.radians(sigma[1]))
-    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
-    mapped = finished.identity[pipeline.filter.ids]
+    sigmas = np.array([sigma[0], sigma[0], math.radians(sigma[1])])
+    mapped = finished.identity[finished.pipeline.filter.ids]
     counts = {"scans": len(looks), "right": 0, "possible": 0, "pairs": 0, "wrong": 0, "polygon": 0}
     seconds = []
     for seen, error in zip(looks, errors, strict=True):
-        belief, sigmas = pipeline.filter.copy(), np.array([sigma_m, sigma_m, sigma_rad])
-        belief.set_pose(seen.T_map_robot + error * sigmas, np.diag(sigmas**2))
-        through = np.full(len(seen.corners), -1)
-        view: MapView = pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1)
+        view, belief = rough_view(finished.pipeline, seen.T_map_robot + error * sigmas, sigmas, len(seen.corners))
         if isinstance(associator, KissPointsAssociator) and seen.beams is not None:
-            associator.look_at(seen.beams, pipeline.grid.canvas.grid)
+            associator.look_at(seen.beams, finished.pipeline.grid.canvas.grid)
         begun = time.perf_counter()
         match = associator.associate(seen.corners, seen.polygons, view, belief)
         seconds.append(time.perf_counter() - begun)
-        paired = match.recognised()
-        claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
-        right = int(((claimed == true) & (true >= 0)).sum())
-        counts["right"] += right >= RIGHT_PAIRS and right == len(paired)
+        pairs, wrong = judged(finished, seen, match)
+        counts["right"] += pairs - wrong >= RIGHT_PAIRS and not wrong
         counts["possible"] += int((np.isin(seen.true, mapped) & (seen.true >= 0)).sum()) >= RIGHT_PAIRS
-        counts["pairs"] += len(paired)
-        counts["wrong"] += len(paired) - right
+        counts["pairs"] += pairs
+        counts["wrong"] += wrong
         counts["polygon"] += match.polygon >= 0
     return {**counts, "ms": 1e3 * float(np.median(seconds))}
+
+
+def rough_view(pipeline: SlamPipeline, T_map_robot: Array, sigmas: Array, corners: int) -> tuple[MapView, Filter]:
+    """What an associator sees of a map at a pose (3,) with sigmas (3,), the room unknown; and the filter there."""
+    belief = pipeline.filter.copy()
+    belief.set_pose(T_map_robot, np.diag(sigmas**2))
+    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
+    through = np.full(corners, -1)
+    return pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1), belief
+
+
+def judged(finished: Finished, seen: Look, match: Match) -> tuple[int, int]:
+    """How many pairs a match has, and how many of them are wrong."""
+    paired = match.recognised()
+    claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
+    return len(paired), len(paired) - int(((claimed == true) & (true >= 0)).sum())
 
 
 def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
@@ -256,17 +261,16 @@ def figures_of(drives: list[Figures]) -> Figures:
 
 def report(figures: Figures) -> str:
     """Per set a table of right scans, one of wrong pairs, one of recognised polygons and one of times."""
-    parts = []
-    if not any(name in variants for variants in figures.values() for name in KISS):
-        parts.append("KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing.")
+    parts = {}
     for layout, variants in figures.items():
         first = next(iter(variants[DEFAULT].values()))
-        parts.append(f"## {layout} ({first['right']['n']} drives, {first['scans']} scans per cell)")
-        parts.append(f"`possible`: {first['possible']['value']:.4g} of the scans.")
+        tables = [f"`possible`: {first['possible']['value']:.4g} of the scans."]
         for name, title in TITLES.items():
             rows = [[variant, *(cells[sigma][name] for sigma in cells)] for variant, cells in variants.items()]
-            parts.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
-    return page(__doc__, *parts)
+            tables.append(f"{title}\n\n{table(['sigma of the pose', *variants[DEFAULT]], rows)}")
+        parts[f"{layout} ({first['right']['n']} drives, {first['scans']} scans per cell)"] = "\n\n".join(tables)
+    measured = any(name in variants for variants in figures.values() for name in KISS)
+    return sections(parts) if measured else f"{WITHOUT_KISS}\n\n{sections(parts)}"
 
 
 def figure(figures: Figures) -> Figure:

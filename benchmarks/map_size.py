@@ -22,16 +22,16 @@ from benchmarks import loop
 from benchmarks.clutter import cluttered
 from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
 from benchmarks.drives import Drive
-from benchmarks.plots import Panel, draw_bands
+from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.tables import page, table_of
+from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
 from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import KINDS, SlamConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import UNKNOWN_ROOM, MapPolygon
+from mecp_env.slam.messages import MapPolygon
 from mecp_env.slam.pipeline import SlamPipeline
 
 COUNTS, QUICK = (25, 50, 100, 200, 500, 1000, 2000), (25, 50)
@@ -89,15 +89,13 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     """Milliseconds of each decision in a map of so many landmarks."""
     pipeline, first = enlarged(drive, drive.slam, count)
     associator = make_associator(with_change(drive.slam, associators()[name]).association)
-    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
     rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
     for number in range(first, first + SCANS):
         corners, beams, wall = loop.front_end(drive.scans[number], drive.slam)
         corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
         polygons = find_structure(corners, beams, drive.slam.polygon, wall)
-        belief, T_map_robot = pipeline.filter.copy(), compose(T_map_world, drive.T_world_robot[number])
-        belief.set_pose(T_map_robot + rng.normal(size=3) * SIGMAS, np.diag(SIGMAS**2))
-        view = pipeline.map.view(belief.belief(), graph, np.full(len(corners), -1), pipeline.step_count + 1)
+        T_map_robot = compose(T_map_world, drive.T_world_robot[number])
+        view, belief = loop.rough_view(pipeline, T_map_robot + rng.normal(size=3) * SIGMAS, SIGMAS, len(corners))
         ms.append(1e3 * best_of(partial(associator.associate, corners, polygons, view, belief), CALLS))
     return ms
 
@@ -147,19 +145,15 @@ TIMED = {FILTERS: step_ms, ASSOCIATORS: association_ms}
 
 def report(figures: Figures) -> str:
     """One table of filters, one of associators."""
-    parts = []
-    for part, rows in figures.items():
-        counts = list(next(iter(rows.values())))
-        parts.append(table_of(f"{part}: ms, landmarks", counts, rows))
-    return page(__doc__, *parts)
+    return "\n\n".join(
+        table_of(f"{part}: ms, landmarks", list(next(iter(rows.values()))), rows) for part, rows in figures.items()
+    )
 
 
 def figure(figures: Figures) -> Figure:
     """Milliseconds by the number of landmarks, both on a logarithmic scale."""
-    drawn = Figure(figsize=(10.0, 6.2), layout="constrained")
-    for axes, (part, rows) in zip(drawn.subplots(1, 2), figures.items(), strict=True):
-        counts = list(next(iter(rows.values())))
-        draw_bands(axes, Panel(counts, {name: [of[count] for count in counts] for name, of in rows.items()}))
-        axes.set(title=part, xlabel="landmarks, count", ylabel="time, ms", yscale="log")
-        axes.legend(fontsize=9, frameon=False, handlelength=3.0)
-    return drawn
+    panels = {
+        part: Panel(list(next(iter(rows.values()))), {name: list(of.values()) for name, of in rows.items()})
+        for part, rows in figures.items()
+    }
+    return panel_rows({"landmarks, count": panels}, "time, ms", log=True)

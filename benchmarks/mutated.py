@@ -26,7 +26,7 @@ import numpy as np
 
 from benchmarks import mutated_files, mutated_keywords
 from benchmarks.common import Figures, Gate, Options, in_parallel
-from benchmarks.tables import table
+from benchmarks.tables import listed, whole_rows
 from mecp_env.core.errors import MecpError
 
 PER_KIND, QUICK = 92, 2  # 2,024 in all
@@ -72,10 +72,12 @@ def end_of(unit: tuple[str, int]) -> dict[str, Any]:
     rng = np.random.default_rng([SEED, zlib.crc32(kind.encode()), number])
     with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
         call = prepared(kind, Path(folder), rng)
-        before, start = forget_peak(), time.process_time()
+        with suppress(OSError):
+            FORGET_PEAK.write_text("5")
+        before, start = memory_mb("VmRSS"), time.process_time()
         with limit():
             end, said = outcome(call, folder)
-    return {"end": end, "said": said, "seconds": time.process_time() - start, "mb": peak_mb() - before}
+    return {"end": end, "said": said, "seconds": time.process_time() - start, "mb": memory_mb("VmHWM") - before}
 
 
 def prepared(kind: str, folder: Path, rng: np.random.Generator) -> Any:
@@ -120,19 +122,8 @@ def limit() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def forget_peak() -> float:
-    """Reset the peak of memory; what is in use, MB."""
-    with suppress(OSError):
-        FORGET_PEAK.write_text("5")
-    return _memory_mb("VmRSS")
-
-
-def peak_mb() -> float:
-    """The peak of memory since then."""
-    return _memory_mb("VmHWM")
-
-
-def _memory_mb(field: str) -> float:
+def memory_mb(field: str) -> float:
+    """Memory in use (`VmRSS`), or its peak since that was reset (`VmHWM`)."""
     if not STATUS.exists():
         return 0.0  # not measured on this system
     return int(STATUS.read_text().partition(f"{field}:")[2].split()[0]) / 1024
@@ -145,11 +136,9 @@ def faults(figures: Figures) -> list[str]:
 
 def report(figures: Figures) -> str:
     """The counts by kind, and every fault."""
-    rows = [(name, *_cells(row)) for name, row in (*figures["kinds"].items(), ("all", figures["all"]))]
+    rows = {
+        name: {key: row[key] for key in ("inputs", "typed", "right", "raw")} | row["timed"]
+        for name, row in (figures["kinds"] | {"all": figures["all"]}).items()
+    }
     head = ["kind", "inputs", "typed errors", "right results", "faults", "slowest, s", "most memory, MB"]
-    found = "\n".join(f"- {text}" for text in faults(figures)) or "No faults."
-    return "\n\n".join([(__doc__ or "").strip(), table(head, rows), found])
-
-
-def _cells(row: Figures) -> tuple[Any, ...]:
-    return (*(row[name] for name in ("inputs", "typed", "right", "raw")), *row["timed"].values())
+    return f"{whole_rows(head, rows)}\n\n{listed(faults(figures), 'No faults.')}"

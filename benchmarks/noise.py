@@ -32,7 +32,7 @@ from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table_of
+from benchmarks.tables import sections, table_of
 from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, with_change
 from mecp_env.core.intervals import share
 from mecp_env.core.sensors import Odometry, Scan
@@ -170,12 +170,14 @@ def report(figures: Figures) -> str:
     """One table per cell with one row per variant."""
     columns = ["rmse_m", "nees", "precision", "recall", "map_rmse_m", "landmarks_false", "duplicates", "lost"]
     columns += ["associate_ms"]
-    parts = []
-    for cell, variants in figures.items():
-        header = [*columns, "far", "phantoms"] if cell.startswith("range") else columns
-        of_cell = table_of("variant", header, variants)
-        parts.append(f"## {cell} ({variants[DEFAULT]['rmse_m']['n']} drives)\n\n{of_cell}")
-    return page(__doc__, *parts)
+    return sections(
+        {
+            f"{cell} ({variants[DEFAULT]['rmse_m']['n']} drives)": table_of(
+                "variant", [*columns, "far", "phantoms"] if cell.startswith("range") else columns, variants
+            )
+            for cell, variants in figures.items()
+        }
+    )
 
 
 def figure(figures: Figures) -> Figure:

@@ -15,14 +15,10 @@ from benchmarks import association
 from benchmarks.association import IDEAL, LETTER
 from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, runs_of
-from benchmarks.drives import Drive, replay
+from benchmarks.drives import replay
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.structures import CountingAssociator
-from benchmarks.tables import page, table_of
+from benchmarks.tables import sections, table_of
 from benchmarks.variants import DEFAULT, with_change
-from mecp_env.slam.association import make_associator
-from mecp_env.slam.config import AssociationConfig, SlamConfig
-from mecp_env.slam.protocols import Associator
 
 SEEDS = {"paper": 60, IDEAL: 15}
 SETS, MOST = tuple(SEEDS), 1000
@@ -64,19 +60,10 @@ def run(options: Options) -> Figures:
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each row on the drive of one layout and seed."""
     drive = records.drive(association.course(*drive_of))
-    return {name: count(drive, with_change(drive.slam, change)) for name, change in rows().items()}
-
-
-def count(drive: Drive, slam: SlamConfig) -> Figures:
-    """Counts of one drive, with the scans of which a polygon was found and recognised."""
-    made: list[CountingAssociator] = []
-
-    def make(section: AssociationConfig) -> Associator:
-        made.append(CountingAssociator(make_associator(section)))
-        return made[0]
-
-    counted = association.counts(drive, replay(drive, slam, make))
-    return {**counted, **{name: made[0].counts[name] for name in ("scans", "found", "recognised")}}
+    return {
+        name: association.counts(drive, replay(drive, with_change(drive.slam, change)))
+        for name, change in rows().items()
+    }
 
 
 def summary(runs: list[Figures]) -> Figures:
@@ -87,5 +74,6 @@ def summary(runs: list[Figures]) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per reading."""
-    titles = {layout: f"## {layout} ({of[DEFAULT]['precision']['n']} drives)" for layout, of in figures.items()}
-    return page(__doc__, *(f"{titles[layout]}\n\n{table_of('', COLUMNS, of)}" for layout, of in figures.items()))
+    return sections(
+        {f"{name} ({of[DEFAULT]['precision']['n']} drives)": table_of("", COLUMNS, of) for name, of in figures.items()}
+    )

@@ -17,6 +17,7 @@ from benchmarks.polygon_centres import Centre
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import to_map
 from mecp_env.render import shapes
+from mecp_env.slam.messages import MapPolygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.world.outline import Outline
 
@@ -75,12 +76,18 @@ def draw_walls(axes: Axes, segments: Array, label: str = "wall") -> None:
     axes.autoscale_view()
 
 
+def draw_robot(axes: Axes, T_world_robot: Array, colour: str, label: str) -> None:
+    """A triangle that points ahead, and its row in the legend."""
+    marker = (3, 0, np.degrees(T_world_robot[2]) - 90.0)
+    axes.plot(*T_world_robot[:2], marker=marker, markersize=11, color=colour, ls="")
+    axes.plot([], [], "^", color=colour, markersize=9, label=label)
+
+
 def scan_figure(T_world_robot: Array, p_world: Array, sparse: list[Array], limits: tuple[Array, Array]) -> Figure:
     """Hits (n,2) m of a scan, with ellipses around the sparse stretches of wall (the paper's figures 2 and 3)."""
     figure, axes = new_axes(8.6, 6.2)
     axes.plot(*p_world.T, ".", color="black", markersize=2.0, rasterized=True, label=f"{len(p_world):,} hits")
-    axes.plot(*T_world_robot[:2], marker=(3, 0, np.degrees(T_world_robot[2]) - 90.0), markersize=11, color=BLUE, ls="")
-    axes.plot([], [], marker="^", color=BLUE, ls="", markersize=9, label="robot")
+    draw_robot(axes, T_world_robot, BLUE, "robot")
     for number, (a, b) in enumerate(sparse):
         length, angle = float(np.linalg.norm(b - a)), float(np.degrees(np.arctan2(*(b - a)[::-1])))
         looks: dict[str, Any] = {"fill": False, "edgecolor": GREEN, "linewidth": 1.8, "linestyle": "--"}
@@ -122,10 +129,15 @@ def magnification(centre: Centre) -> float:
     return max((k for k in (1.0, 2.0, 5.0, 10.0, 20.0, 50.0) if k <= wanted), default=1.0)
 
 
+def whole_polygons(output: SlamOutput) -> list[MapPolygon]:
+    """The polygons of the map whose vertices are all landmarks of the filter."""
+    where = shapes.positions(output.belief)
+    return [polygon for polygon in output.map_polygons if all(int(i) in where for i in polygon.ids)]
+
+
 def rings_by_room(world: World, output: SlamOutput) -> dict[int, list[Array]]:
     """The polygons of landmarks (k,2) m, world, of each room of the map, those seen most often first."""
-    where = shapes.positions(output.belief)
-    whole = [polygon for polygon in output.map_polygons if all(int(i) in where for i in polygon.ids)]
+    where, whole = shapes.positions(output.belief), whole_polygons(output)
     found: dict[int, list[Array]] = {}
     for polygon in sorted(whole, key=lambda polygon: -polygon.seen):
         ring = world.place(np.array([where[int(i)] for i in polygon.ids]))
@@ -224,9 +236,7 @@ def environment_figure(world: World) -> Figure:
     corners = outline.corners.p_world[~outline.corners.jamb]
     looks: dict[str, Any] = {"color": BLUE, "markerfacecolor": "white", "markersize": 5, "zorder": 4}
     axes.plot(*corners.T, "o", label=f"{len(corners)} corners that are no jambs", **looks)
-    x, y, heading = world.T_world_map
-    axes.plot(x, y, marker=(3, 0, np.degrees(heading) - 90.0), color=GREEN, markersize=13, ls="")
-    axes.plot([], [], "^", color=GREEN, markersize=9, label="start of the run of figures 2 to 8")
+    draw_robot(axes, world.T_world_map, GREEN, "start of the run of figures 2 to 8")
     axes.autoscale_view()
     axes.margins(0.02)
     add_legend(figure)

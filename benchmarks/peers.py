@@ -25,7 +25,7 @@ import yaml
 
 from benchmarks.common import Figures, in_turns
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
-from benchmarks.tables import page, table
+from benchmarks.tables import table
 from mecp_env.core.carriers import Array
 from mecp_env.core.intervals import ratio
 from mecp_env.world.layout import load_layout
@@ -175,4 +175,4 @@ def report(figures: Figures) -> str:
         for actions, values in both.items()
     ]
     head = ["peer", "sweeps", "actions", "our steps per second over the peer's", "our steps per second", "the peer's"]
-    return page(__doc__, table(head, rows)) if rows else "The extra `peers` is not installed."
+    return f"{__doc__}\n{table(head, rows)}" if rows else "The extra `peers` is not installed."

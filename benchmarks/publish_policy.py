@@ -7,13 +7,12 @@ from __future__ import annotations
 
 import csv
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
-from typing import Annotated, Any
 
 import numpy as np
-import tyro
 
 from mecp_env.cli.exit_codes import run_command
 from mecp_env.core.carriers import Array
@@ -24,17 +23,8 @@ from mecp_env.render.palette import MARKERS
 
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 SCORES = {"auc": "area under coverage over metres", "correct_over_steps": "correct coverage over steps"}
+COLUMNS = ("decisions", "auc_error", "seconds")  # beside the score
 MOST_BYTES = 1_900_000  # of weights in the repository
-
-
-@dataclass(frozen=True)
-class PublishOptions:
-    """Draw the learning curve of some runs, and ship the policy of the best one."""
-
-    runs: Annotated[tuple[Path, ...], tyro.conf.Positional]  # folders of runs of one algorithm
-    weights: Path = WEIGHTS  # folder of the shipped policies
-    picture: Path | None = None  # of the curve; default: beside the weights
-    ship: bool = True  # no: only the picture
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,37 +33,27 @@ class RunResult:
 
     folder: Path
     algorithm: str
-    decisions: Array  # (n,)
     score: str  # the metric by which the best policy is chosen
     area: Array  # (n,) its values
+    decisions: Array  # (n,)
     error: Array  # (n,) standard errors of the area under coverage over metres
-    hours: float
+    seconds: Array  # (n,)
 
 
-def main(args: PublishOptions) -> int:
-    """Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
-    return run_command(lambda: publish(args))
-
-
-def publish(args: PublishOptions) -> int:
-    """Draw, and ship. Exit code 0; raises `ConfigError`."""
-    if not args.runs:
+def publish(folders: Sequence[Path], weights: Path = WEIGHTS) -> int:
+    """Draw the curve of some runs, and ship the policy of the best one. Exit code 0; raises `ConfigError`."""
+    if not folders:
         raise ConfigError("runs: none given, expected folders of runs of one algorithm")
-    runs = [read_run(folder) for folder in args.runs]
+    runs = [read_run(folder) for folder in folders]
     if len({(run.algorithm, run.score) for run in runs}) != 1:
         names = ", ".join(sorted({run.algorithm for run in runs}))
         raise ConfigError(f"runs: of {names}, expected one algorithm, all in tasks or none")
     best = max(runs, key=lambda run: run.area.max())
-    target = args.weights / best.algorithm
-    if args.ship:
-        ship(best, target)
-        print(
-            f"{target}: the policy of {best.folder}, {best.area.max():.4f} on the validation split, {best.hours:.1f} h"
-        )
-    picture = args.picture or target / "curve.png"
-    picture.parent.mkdir(parents=True, exist_ok=True)
-    draw(runs, picture)
-    print(f"{picture}: {len(runs)} runs")
+    target = weights / best.algorithm
+    ship(best, target)
+    draw(runs, target / "curve.png")
+    hours = best.seconds[-1] / 3600.0
+    print(f"{target}: the policy of {best.folder}, {best.area.max():.4f} on the validation split, {hours:.1f} h")
     return 0
 
 
@@ -81,27 +61,18 @@ def read_run(folder: Path) -> RunResult:
     """The figures of a run. Raises `ConfigError` for a folder without any."""
     try:
         fields = read_config(folder / "config.json")
-        algorithm, score = fields["algorithm"], "correct_over_steps" if fields.get("task") else "auc"
+        algorithm, score = str(fields["algorithm"]), "correct_over_steps" if fields.get("task") else "auc"
         with (folder / "evaluation.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
-        decisions, area, errors, seconds = (column(rows, name) for name in ("decisions", score, "auc_error", "seconds"))
-    except OSError as error:
-        raise ConfigError(f"runs: {folder} is not a run folder: {error.filename}: {error.strerror}") from None
-    except KeyError as error:
-        raise ConfigError(f"runs: {folder} is not a run folder: {error} is missing") from None
-    except ValueError as error:
-        raise ConfigError(f"runs: {folder} is not a run folder: {error}") from None
+        columns = [np.array([float(row[name] or "") for row in rows]) for name in (score, *COLUMNS)]
+    except (OSError, KeyError, ValueError) as error:
+        reason = f"{error} is missing" if isinstance(error, KeyError) else error
+        raise ConfigError(f"runs: {folder} is not a run folder: {reason}") from None
     if not rows:
         raise ConfigError(f"runs: {folder} has no evaluation yet")
-    return RunResult(folder, str(algorithm), decisions, score, area, errors, seconds[-1] / 3600.0)
-
-
-def column(rows: list[dict[str, Any]], name: str) -> Array:
-    """(n,) a column of a table. Raises `KeyError`, or `ValueError` for a value that is not a number."""
-    values = np.array([float(row[name] or "") for row in rows])
-    if not np.isfinite(values).all():
-        raise ValueError(f"{name}: not finite")
-    return values
+    if not np.isfinite(columns).all():
+        raise ConfigError(f"runs: {folder} has figures that are not finite")
+    return RunResult(folder, algorithm, score, *columns)
 
 
 def ship(run: RunResult, target: Path) -> None:
@@ -110,7 +81,7 @@ def ship(run: RunResult, target: Path) -> None:
     Raises `ConfigError` for a policy that is too large for the repository or cannot be loaded, with nothing changed.
     """
     from mecp_env.core.files import write_atomic
-    from mecp_env.learning.learned import load  # with PyTorch, which the curve alone does not need
+    from mecp_env.learning.learned import load
 
     if target.resolve() == run.folder.resolve():
         raise ConfigError(f"runs: {run.folder} is where the policy would be put")
@@ -147,5 +118,10 @@ def draw(runs: list[RunResult], picture: Path) -> None:
     figure.savefig(picture, dpi=220)
 
 
+def main(words: Sequence[str]) -> int:
+    """Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
+    return run_command(lambda: publish([Path(word) for word in words]))
+
+
 if __name__ == "__main__":
-    sys.exit(main(tyro.cli(PublishOptions)))
+    sys.exit(main(sys.argv[1:]))

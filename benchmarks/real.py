@@ -28,7 +28,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from benchmarks import noise, worlds
-from benchmarks.columns import columns_of, means, ratios
+from benchmarks.columns import of_visits
 from benchmarks.common import Figures, Gate, Options, chosen, shared_data
 from benchmarks.drives import replay
 from benchmarks.plan_scores import score_rooms
@@ -36,7 +36,7 @@ from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
 from benchmarks.real_maps import MapData, small_multiples
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import table, table_of
+from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
 from mecp_env.core.intervals import estimate, ratio, share
@@ -65,6 +65,11 @@ GATES = (
     Gate("fr079/polygon_share", "share", 0.02),
     Gate(f"{VIEW}/precision", "share", 0.003),
     *(Gate(f"{name}/complete", "share", 0.1) for name in URG),
+)
+SHARES = ("seen", "complete", "lost", "early")
+TOTALS = (
+    *("coverage", "precision", "pose_rmse_m", "nees", "rooms_found", "rooms_false", "doors_found"),
+    *("doors_false_per_10_true", "duplicates", "contacts_per_100_m", "periods_per_m2", "metres"),
 )
 Task = tuple[str, str, int]  # set, plan or number of scans or layout, start or seed
 
@@ -197,25 +202,10 @@ def summarise_explored(results: Mapping[str, list[Figures]]) -> Figures:
 
 def summarise_visits(visits: list[Figures]) -> Figures:
     """Figures of explorations, each with its 95 % interval."""
-
-    of = columns_of(visits)
-    of |= {"right": of["association_pairs"] - of["association_false"]}
-    of |= {"doors_false_10": 10.0 * of["doors_false"], "contacts_100": 100.0 * of["contacts"]}
-    return {
-        **{name: share(visit[name] for visit in visits) for name in ("seen", "complete", "lost", "early")},
-        **means(of, "coverage"),
-        **ratios(of, precision="right/association_pairs"),
-        **means(of, "pose_rmse_m"),
-        "pose_rmse_worst_m": float(of["pose_rmse_m"].max()),
-        "nees": estimate(of["nees_mean"]),
-        **ratios(of, rooms_found="rooms_found/rooms"),
-        **means(of, "rooms_false"),
-        **ratios(of, doors_found="doors_found/doors", doors_false_per_10_true="doors_false_10/doors"),
-        **means(of, "duplicates"),
-        **ratios(of, contacts_per_100_m="contacts_100/metres", periods_per_m2="periods/free_area_m2"),
-        **means(of, "metres"),
-        "free_area_m2": float(of["free_area_m2"].mean()),
-    }
+    figures = {name: share(visit[name] for visit in visits) for name in SHARES} | of_visits(visits, TOTALS)
+    worst = max(visit["pose_rmse_m"] for visit in visits)
+    area = float(np.mean([visit["free_area_m2"] for visit in visits]))
+    return figures | {"pose_rmse_worst_m": worst, "free_area_m2": area}
 
 
 def only(results: Mapping[str, list[Figures]]) -> list[Figures]:
@@ -239,23 +229,16 @@ SUMMARIES: dict[str, Any] = {
 
 def report(figures: Figures) -> str:
     """A table for the plans, the explorations, the logs and the lasers."""
-    parts = [__doc__ or "", *(f"Skipped: {name}, {why}." for name, why in figures.get("skipped", {}).items())]
-    if PLANS in figures:
-        rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
-        parts.append(f"## Rooms of the imported KTH floors\n\n{rooms}")
+    skipped = [f"{name}, {why}" for name, why in figures.get("skipped", {}).items()]
     logs = {name: figures[name] for name in LOGS if name in figures}
     lasers = {name: figures[name] for name in URG if name in figures}
     tables = {"Explorations": figures.get(EXPLORED, {}), "Logs": logs, "URG-04LX, breadth first": lasers}
     tables["View of 180 degrees on paper"] = {name: figures[name] for name in (VIEW,) if name in figures}
-    parts += [f"## {title}\n\n{columns(of)}" for title, of in tables.items() if of]
-    return "\n\n".join(parts)
-
-
-def columns(settings: Mapping[str, Figures]) -> str:
-    """A table with a row for each figure and a column for each setting."""
-    names = dict.fromkeys(name for of in settings.values() for name in of)
-    rows = [(name.replace("_", " "), *(of.get(name, "") for of in settings.values())) for name in names]
-    return table(["", *(short(name) for name in settings)], rows)
+    parts = {title: turned(of, [short(name) for name in of]) for title, of in tables.items() if of}
+    if PLANS in figures:
+        rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
+        parts = {"Rooms of the imported KTH floors": rooms, **parts}
+    return "\n\n".join([*(f"Skipped: {text}." for text in skipped), sections(parts)])
 
 
 def short(name: str) -> str:

@@ -7,9 +7,13 @@ counts, whatever code made it: its header names that code.
 
 from __future__ import annotations
 
+import hashlib
+import io
 import json
 import re
-from collections.abc import Callable, Sequence
+import zipfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -19,16 +23,39 @@ import numpy as np
 
 from benchmarks.common import Options, grouped, in_parallel
 from benchmarks.drives import Drive, record_drive
-from benchmarks.record_file import Arrays, Header, RecordError, load_record, save_record
+from mecp_env import __version__
 from mecp_env.core.errors import MecpError
+from mecp_env.core.files import read_bytes, write_atomic
 from mecp_env.core.provenance import checksum, dependencies
 from mecp_env.core.sensors import LaserView, Odometry, Scan
+from mecp_env.core.snapshot import FileKind, check_header
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.generator import GeneratorSpec, generate, split_seed
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout
+
+KIND = FileKind("mecp_env record", 1, __version__)
+HEADER = "header"
+MOST_BYTES = 2**31  # of the file, and unpacked
+ARRAYS = (  # in the order of the content hash
+    "ranges",  # (scans,sweeps,beams) m
+    "hit",  # (scans,sweeps,beams)
+    "bearings",  # (sweeps,beams) rad, those of every scan
+    "arcs",  # (scans,) readings of the odometry before the scan, -1: at rest at the start
+    "increments",  # (readings,2) m, rad; those of all scans one after the other
+    "increment_cov",  # (readings,2,2)
+    "bumper",  # (scans,)
+    "T_world_robot",  # (scans,3) m, rad: true pose of each scan
+)
+
+Arrays = dict[str, np.ndarray[Any, Any]]
+Header = dict[str, Any]
+
+
+class RecordError(MecpError):
+    """A record is damaged, of another format or version, too large, or of another drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -58,7 +85,7 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class Records:
-    """The records in a folder; without one, every drive is made anew and stays in memory."""
+    """The records in a folder; without one, every drive is driven again and stays in memory."""
 
     folder: Path | None = None
 
@@ -68,7 +95,7 @@ class Records:
             return course.drive()
         path = self.folder / course.file
         if not path.exists():
-            _save(path, *record_of(course, course.drive()))
+            save_record(path, *record_of(course, course.drive()))
         return read_drive(path, course)
 
 
@@ -80,11 +107,43 @@ def on_records(task: Callable[..., Any], kind: Any, units: Sequence[Any], option
     return grouped(units, in_parallel(partial(task, records=Records(options.records)), kind, units, options))
 
 
-def _save(path: Path, header: Header, arrays: Arrays) -> None:
+def save_record(path: Path, header: Header, arrays: Arrays) -> None:
+    """Write a record, whole or not at all. Raises `RecordError`."""
+    header = {**KIND._asdict(), **header}
+    text = json.dumps({**header, "content": content_of(header, arrays)})
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **{HEADER: np.frombuffer(text.encode(), np.uint8), **arrays})
     try:
-        save_record(path, header, arrays)
+        write_atomic(path, buffer.getvalue())
     except OSError as error:
         raise RecordError(f"{path}: cannot be written: {error.strerror}") from None
+
+
+def load_record(path: Path) -> tuple[Header, Arrays]:
+    """What `save_record` wrote. Raises `RecordError`, and whatever damaged bytes raise."""
+    data = io.BytesIO(read_bytes(path, MOST_BYTES))
+    if not zipfile.is_zipfile(data):
+        raise RecordError(f"no {KIND.format}, or cut short")
+    with zipfile.ZipFile(data) as archive:
+        size = sum(member.file_size for member in archive.infolist())
+    if size > MOST_BYTES:
+        raise RecordError(f"it has {size} bytes unpacked, at most {MOST_BYTES}")
+    data.seek(0)
+    with np.load(data, allow_pickle=False) as archive:
+        arrays = dict(archive)
+    header: Header = json.loads(arrays.pop(HEADER).tobytes())
+    check_header(header, KIND)
+    if header.pop("content") != content_of(header, arrays):
+        raise RecordError("damaged: its content hash is that of another content")
+    return header, arrays
+
+
+def content_of(header: Mapping[str, Any], arrays: Arrays) -> str:
+    """SHA-256, 64 hexadecimal digits, of a header without its `content`, and of the arrays."""
+    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
+    for name in ARRAYS:
+        digest.update(np.ascontiguousarray(arrays[name]).data)
+    return digest.hexdigest()
 
 
 def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
@@ -103,45 +162,55 @@ def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
         "T_world_robot": np.array(drive.T_world_robot),
     }
     scans, sweeps, beams = arrays["ranges"].shape
-    header = Header(
-        asdict(course),
-        course.building().model_dump(mode="json"),
-        {name: getattr(drive.truth.view, name) for name in LaserView.model_fields},
-        first.max_range_m,
-        drive.slam.model_dump(mode="json"),
-        dependencies(),
-        {"scans": scans, "sweeps": sweeps, "beams": beams, "readings": len(arrays["increments"])},
-    )
+    header = {
+        "course": asdict(course),
+        "layout": course.building().model_dump(mode="json"),
+        "laser": {name: getattr(drive.truth.view, name) for name in LaserView.model_fields},
+        "max_range_m": first.max_range_m,
+        "slam": drive.slam.model_dump(mode="json"),  # the estimator during the drive
+        "made_by": dependencies(),  # code, libraries and machine
+        "lengths": {"scans": scans, "sweeps": sweeps, "beams": beams, "readings": len(arrays["increments"])},
+    }
     return header, arrays
 
 
 def read_drive(path: Path, course: Course | None = None) -> Drive:
-    """The drive in a record, of any course or of the given one. Raises `RecordError`."""
-    header, arrays = load_record(path)
-    if course is not None and header.course != asdict(course):
-        raise RecordError(f"{path}: the record of {header.course!s:.200}, expected that of {asdict(course)!s:.200}")
+    """The drive in a record, of any course or of the given one. Raises `RecordError` that names the file."""
+    with refused(path):
+        header, arrays = load_record(path)
+        if course is not None and header["course"] != asdict(course):
+            raise RecordError(f"the record of {header['course']!s:.200}, expected that of {asdict(course)!s:.200}")
+        outline, range_m = build_outline(load_layout(header["layout"])), header["max_range_m"]
+        slam = SlamConfig(**SlamConfig.without_gone(header["slam"]))
+        truth = GroundTruth(outline, range_m, LaserView(**header["laser"]))
+        scans = [
+            Scan(ranges, arrays["bearings"], hit, range_m)
+            for ranges, hit in zip(arrays["ranges"], arrays["hit"], strict=True)
+        ]
+        return Drive(truth, slam, odometry_of(arrays), scans, list(arrays["T_world_robot"]))
+
+
+@contextmanager
+def refused(path: Path) -> Iterator[None]:
+    """Turns whatever is wrong with a file into a `RecordError` that names it."""
     try:
-        outline, slam = build_outline(load_layout(header.layout)), SlamConfig(**SlamConfig.without_gone(header.slam))
-        truth = GroundTruth(outline, header.max_range_m, LaserView(**header.laser))
+        yield
     except MecpError as error:
         raise RecordError(f"{path}: {error}") from None
-    scans = [Scan(*pair, header.max_range_m) for pair in _beams(arrays)]
-    return Drive(truth, slam, _odometry(path, arrays), scans, list(arrays["T_world_robot"]))
+    except Exception as error:  # damaged bytes may raise anything
+        reason = " ".join(f"{type(error).__name__}: {error}".split())
+        raise RecordError(f"{path}: damaged ({reason:.120})") from None
 
 
-def _beams(arrays: Arrays) -> list[tuple[Any, Any, Any]]:
-    """Ranges, bearings and hits of each scan."""
-    return [(ranges, arrays["bearings"], hit) for ranges, hit in zip(arrays["ranges"], arrays["hit"], strict=True)]
-
-
-def _odometry(path: Path, arrays: Arrays) -> list[Odometry | None]:
+def odometry_of(arrays: Arrays) -> list[Odometry | None]:
     """The odometry before each scan, None at rest at the start. Raises `RecordError`."""
-    arcs = arrays["arcs"]
-    if arcs.min(initial=0) < -1 or arcs[arcs > 0].sum() != len(arrays["increments"]):
-        raise RecordError(f"{path}: damaged: arcs do not add up to {len(arrays['increments'])} readings")
-    last = np.cumsum(np.maximum(arcs, 0))
-    parts = zip(arcs.tolist(), (last - np.maximum(arcs, 0)).tolist(), arrays["bumper"].tolist(), strict=True)
+    readings = np.maximum(arrays["arcs"], 0)
+    if readings.sum() != len(arrays["increments"]):
+        raise RecordError(f"damaged: arcs do not add up to {len(arrays['increments'])} readings")
+    ends = np.cumsum(readings)
     return [
-        Odometry(arrays["increments"][at : at + n], arrays["increment_cov"][at : at + n], bumper) if n >= 0 else None
-        for n, at, bumper in parts
+        None if at_rest else Odometry(arrays["increments"][a:b], arrays["increment_cov"][a:b], bumper)
+        for at_rest, a, b, bumper in zip(
+            arrays["arcs"] < 0, (ends - readings).tolist(), ends.tolist(), arrays["bumper"].tolist(), strict=True
+        )
     ]

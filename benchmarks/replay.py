@@ -59,6 +59,4 @@ def show(page: Path) -> tuple[float, float]:
 
 def report(figures: Figures) -> str:
     """One row."""
-    rows = [tuple(figures[name] for name in ("steps", "page_kb", "first_frame_s", "frames_per_s"))]
-    head = ["steps", "page, kB", "first frame, s", "frames per second"]
-    return "\n\n".join([__doc__.strip() if __doc__ else "", table(head, rows)])
+    return table(["steps", "page, kB", "first frame, s", "frames per second"], [tuple(figures.values())])

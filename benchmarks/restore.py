@@ -24,7 +24,7 @@ import mecp_env
 from benchmarks import restore_logs
 from benchmarks.common import Figures, Gate, Options, in_parallel
 from benchmarks.restore_logs import same
-from benchmarks.tables import table
+from benchmarks.tables import listed, table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
 from mecp_env.core.errors import PlanWarning
 from mecp_env.core.snapshot import FileKind, load_snapshot, save_snapshot
@@ -190,5 +190,5 @@ def faults(figures: Figures) -> list[str]:
 def report(figures: Figures) -> str:
     """The counts, and every failure."""
     counts = figures["all"]
-    found = "\n".join(f"- {text}" for text in faults(figures)) or "All came back to the bit."
-    return "\n\n".join([(__doc__ or "").strip(), table(list(counts), [tuple(counts.values())]), found])
+    found = listed(faults(figures), "All came back to the bit.")
+    return f"{table(list(counts), [tuple(counts.values())])}\n\n{found}"

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, Gate, OptionError, Options, chosen, grouped, in_parallel
+from benchmarks.common import Figures, Gate, Options, buildings_of, grouped, in_parallel
 from benchmarks.tables import table
 from mecp_env.core.intervals import correlation, estimate, ratio
 from mecp_env.episode.tasks import TASKS
@@ -54,11 +54,8 @@ def run(options: Options) -> Figures:
 
 
 def units_of(options: Options) -> list[Unit]:
-    """All episodes. Raises `OptionError` for more buildings than the split has."""
-    if options.buildings > MOST:
-        raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
-    count = options.buildings or (QUICK_BUILDINGS if options.quick else BUILDINGS)
-    counts = chosen(options.sets, dict.fromkeys(SETTINGS, count), MOST) or dict.fromkeys(SETTINGS, count)
+    """All episodes."""
+    counts = buildings_of(options, SETTINGS, QUICK_BUILDINGS if options.quick else BUILDINGS, MOST)
     return [
         (name, policy, policy_checksum(policy), building)
         for name, buildings in counts.items()
@@ -157,7 +154,7 @@ def report(figures: Figures) -> str:
     names = list(dict.fromkeys(policy for task in tasks.values() for policy in task["policies"]))
     by_policy = [[policy, *(cell(task["policies"].get(policy)) for task in tasks.values())] for policy in names]
     returns = table(["return / metric", *tasks], by_policy)
-    return f"{__doc__}\n{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
+    return f"{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
 
 
 def cell(found: Mapping[str, Any] | None) -> str:

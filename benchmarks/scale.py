@@ -100,4 +100,4 @@ def report(figures: Figures) -> str:
         for kind, of_kind in figures.items()
         for name in ("us", "ratio")
     ]
-    return f"{__doc__}\n{table(['', *counts], rows)}"
+    return table(["", *counts], rows)

@@ -20,7 +20,7 @@ from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.drives import replay
 from benchmarks.loop import HARD
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import page, table_of
+from benchmarks.tables import table_of
 from mecp_env.core.intervals import share
 from mecp_env.slam.config import chi2_of_point
 
@@ -77,4 +77,4 @@ def report(figures: Figures) -> str:
     """One row per sensor."""
     columns = (*MEANS, "precision", "recall", "lost")
     n = max(row["nees"]["n"] for row in figures.values())
-    return page(__doc__, f"Drives per sensor: {n}.", table_of("sensor", columns, figures))
+    return f"Drives per sensor: {n}.\n\n{table_of('sensor', columns, figures)}"

@@ -23,7 +23,8 @@ import numpy as np
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, show_progress
 from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
-from benchmarks.tables import table
+from benchmarks.random_actions import RandomDriver, goal
+from benchmarks.tables import listed, turned
 from benchmarks.vector import HELD
 from mecp_env.core.intervals import ratio
 
@@ -69,7 +70,7 @@ class Many:
         self.observation, _ = self.env.reset(seed=0)
         self.rng, self.calls = np.random.default_rng(0), 0
 
-    def step(self) -> tuple[int, int]:
+    def advance(self) -> tuple[int, int]:
         """One step of all environments: control steps, and episodes that ended."""
         if self.calls % HELD == 0:
             self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (COUNT, 2)).astype(np.float32)
@@ -82,22 +83,16 @@ class Many:
         return list(self.env.pids)
 
 
-class One:
+class One(RandomDriver):
     """A single environment and random goals."""
 
     def __init__(self) -> None:
-        self.env = gymnasium.make(NAME, actions="goal", **SETTING)
-        self.observation, _ = self.env.reset(seed=0)
-        self.rng = np.random.default_rng(0)
+        super().__init__(gymnasium.make(NAME, actions="goal", **SETTING), goal)
 
-    def step(self) -> tuple[int, int]:
+    def advance(self) -> tuple[int, int]:
         """A drive to a goal: control steps, and episodes that ended."""
-        goals = np.flatnonzero(self.env.get_wrapper_attr("action_masks")())
-        action = self.rng.choice(goals) if len(goals) else 0
-        self.observation, _, terminated, truncated, info = self.env.step(action)
-        if terminated or truncated:
-            self.observation, _ = self.env.reset()
-        return int(info["periods"]), int(terminated or truncated)
+        before = self.episodes
+        return self.step(), self.episodes - before
 
     def workers(self) -> list[int]:
         """None."""
@@ -154,7 +149,7 @@ def drive(driver: Any, steps: int, watched: Soak, least: int = 0) -> tuple[int, 
     """At least so many control steps and ends of episodes: their numbers."""
     counted = episodes = 0
     while counted < steps or episodes < least:
-        done, ended = driver.step()
+        done, ended = driver.advance()
         counted, episodes = counted + done, episodes + ended
         watched.wrong += not sound(driver.env.observation_space, driver.observation)
     return counted, episodes
@@ -200,7 +195,4 @@ def _faults(values: Figures) -> list[str]:
 
 def report(figures: Figures) -> str:
     """One column per set."""
-    names = next(iter(figures.values()))
-    rows = [(name.replace("_", " "), *(values[name] for values in figures.values())) for name in names]
-    verdict = "\n".join(f"- {fault}" for fault in faults(figures)) or "All within their bounds."
-    return "\n\n".join([(__doc__ or "").strip(), table(["", *figures], rows), verdict])
+    return f"{turned(figures)}\n\n{listed(faults(figures), 'All within their bounds.')}"

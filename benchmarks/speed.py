@@ -7,9 +7,8 @@ in which numba compiled or loaded a function are excluded.
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
-from typing import Any
+from itertools import chain
 
 import numpy as np
 import pymunk
@@ -17,9 +16,9 @@ import pymunk
 from benchmarks import crowd_speed, peers, polygon_speed
 from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import drive_at_random, exploration
-from benchmarks.polygon_speed import SITES
-from benchmarks.tables import table
-from mecp_env.cli.stopwatch import STAGE_NAMES, Stopwatch, timed_stages
+from benchmarks.polygon_speed import SITES, median_us
+from benchmarks.tables import sections, table, table_of
+from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig
@@ -65,22 +64,17 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
         drive(env, steps)
     with timed_stages() as stages:
         drive(env, steps)
-    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver(watch), "us": stages.microseconds()}
-
-
-def with_driver(watch: Stopwatch) -> float:
-    """Control steps per second including planner and controller of the goal actions."""
-    return watch.steps / (watch.seconds["step"] + watch.seconds["drive"])
+    with_driver = watch.steps / (watch.seconds["step"] + watch.seconds["drive"])  # with planner and controller
+    return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver, "us": stages.microseconds()}
 
 
 def explore(env: MecpEnv, steps: int) -> None:
     """Whole explorations, one after the other, until enough steps are over."""
-    seen, goals = 0, GoalActions(env)
-    for seed in range(steps):
-        for info, _ in exploration(goals, seed):
-            seen += info["periods"]
-            if seen >= steps:
-                return
+    goals, seen = GoalActions(env), 0
+    for info, _ in chain.from_iterable(exploration(goals, seed) for seed in range(steps)):
+        seen += info["periods"]
+        if seen >= steps:
+            return
 
 
 def rays(poses: int) -> Figures:
@@ -97,8 +91,8 @@ def rays(poses: int) -> Figures:
         "faces": len(outline.segments),
         "kernel_us": median_us(lambda pose: _cast(faces, pose, table, spacing, 0.0), places),
         "laser_with_noise_us": median_us(lambda pose: laser.scan(pose, rng), places),
-        "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few),
-        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few),
+        "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few, repeats=3),
+        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few, repeats=3),
     }
 
 
@@ -135,43 +129,28 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
     return ranges
 
 
-def median_us(call: Callable[[Any], object], items: list[Any]) -> float:
-    """Median over the items of the fastest of three calls each, us, after one warm-up call."""
-    call(items[0])
-    return 1e6 * float(np.median([min(_once(call, item) for _ in range(3)) for item in items]))
-
-
-def _once(call: Callable[[Any], object], item: Any) -> float:
-    start = time.thread_time()
-    call(item)
-    return time.thread_time() - start
-
-
 def report(figures: Figures) -> str:
     """Tables: steps per second, time per stage, rays, polygons."""
-    settings = [(k, actions, values) for k, both in figures["env"].items() for actions, values in both.items()]
-    speeds = [(k, actions, v["steps_per_s"], v["with_driver_per_s"]) for k, actions, v in settings]
-    names = [*STAGE_NAMES, "rest", "step", "drive"]
-    stages = [(name, *(round(v["us"][name], 1) for _, _, v in settings)) for name in names]
-    kernel, scans = figures["polygon"]["kernel"], figures["polygon"]["scans"]
-    sites = [(n, *(round(kernel[kind][f"n={n}"], 1) for kind in ("uniform", "convex"))) for n in SITES]
-    layouts = [(name, values["sites"], round(values["stage_us"], 1)) for name, values in scans.items()]
-    return "\n\n".join(
-        [
-            f"CPU times. {__doc__.splitlines()[0] if __doc__ else ''}",
-            "## Steps per second (layout `paper`, 720 beams, one core)",
-            table(["sweeps", "actions", "environment", "with planner and controller"], speeds),
-            "## Time per stage, us",
-            table(["stage", *(f"{k} {actions}" for k, actions, _ in settings)], stages),
-            "## MiniGrid and ir-sim",
-            peers.report(figures["peers"]),
-            f"## A larger building, and pedestrians\n\n{crowd_speed.__doc__}",
-            crowd_speed.report(figures["crowd"]),
-            "## 720 rays, us (median over poses)",
-            table(["what", "value"], figures["rays"].items()),
-            "## Maximum Empty Convex Polygon, search and wall-crossing check, us (median)",
-            table(["sites", "uniform", "convex position"], sites),
-            "## The polygon stage on scans, edge intervals included (median)",
-            table(["layout", "sites", "us"], layouts),
-        ]
+    settings = {f"{k}, {actions}": of for k, both in figures["env"].items() for actions, of in both.items()}
+    stages = next(iter(settings.values()))["us"]
+    kernel = figures["polygon"]["kernel"]
+    sites = [(n, *(kernel[kind][n] for kind in ("uniform", "convex"))) for n in kernel["uniform"]]
+    return sections(
+        {
+            "Steps per second (layout `paper`, 720 beams, one core)": table_of(
+                "sweeps, actions", ("steps_per_s", "with_driver_per_s"), settings
+            ),
+            "Time per stage, us": table(
+                ["stage", *settings], [(stage, *(of["us"][stage] for of in settings.values())) for stage in stages]
+            ),
+            "MiniGrid and ir-sim": peers.report(figures["peers"]),
+            "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{crowd_speed.report(figures['crowd'])}",
+            "720 rays, us (median over poses)": table(["what", "value"], figures["rays"].items()),
+            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(
+                ["sites", "uniform", "convex position"], sites
+            ),
+            "The polygon stage on scans, edge intervals included (median)": table_of(
+                "layout", ("sites", "stage_us"), figures["polygon"]["scans"]
+            ),
+        }
     )

@@ -13,7 +13,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.common import Figures, Gate, Options
-from benchmarks.tables import table
+from benchmarks.tables import table_of
 from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, end_group, environment_of
 from mecp_env.core.intervals import estimate
 
@@ -68,6 +68,4 @@ def report(figures: Figures) -> str:
     trees = {"working tree": figures}
     if "against" in figures:
         trees[figures["against"]["commit"]] = figures["against"]
-    rows = [(name, v["cpu_s"], v["wall_s"], v["cache_files"]) for name, v in trees.items()]
-    head = ["tree", "CPU seconds", "wall seconds", "cache files"]
-    return "\n\n".join([__doc__.strip() if __doc__ else "", table(head, rows)])
+    return table_of("tree", ("cpu_s", "wall_s", "cache_files"), trees)

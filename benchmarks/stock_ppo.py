@@ -22,7 +22,8 @@ import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, steps_per_s
 from benchmarks.process_use import processor_s
-from benchmarks.tables import table
+from benchmarks.random_actions import RandomDriver, sample
+from benchmarks.tables import whole_rows
 from mecp_env.core.intervals import estimate
 
 ROOMS = "mecp_env/Rooms-v0"
@@ -73,7 +74,7 @@ def compare(case: Case, rounds: int, seconds: float, actions: int) -> Figures:
     from stable_baselines3 import PPO
 
     torch.set_num_threads(1)
-    single, venv = Single(case), make_venv(case)
+    single, venv = RandomDriver(gymnasium.make(MODULE_AND_ID, **case.fields), sample), make_venv(case)
     model = PPO(POLICIES[case.observation], venv, n_steps=actions // case.environments)
     measured = [(steps_per_s(single.step, seconds), *learn(model, actions)) for _ in range(rounds + 1)][1:]
     venv.close()
@@ -116,29 +117,8 @@ def learn(model: Any, actions: int) -> tuple[float, float, float]:
     return rate, (time.process_time() - used) / steps, (processor_s(others) - before) / steps
 
 
-class Single:
-    """An environment of a case, driven with random actions."""
-
-    def __init__(self, case: Case) -> None:
-        self.env = gymnasium.make(MODULE_AND_ID, **case.fields)
-        self.env.action_space.seed(0)
-        self.env.reset(seed=0)
-
-    def step(self) -> int:
-        """One action: its control steps."""
-        _, _, terminated, truncated, info = self.env.step(self.env.action_space.sample())
-        if terminated or truncated:
-            self.env.reset()
-        return int(info.get("periods", 1))
-
-
 def report(figures: Figures) -> str:
     """One row per case."""
-    heads = [
-        "observation, actions, environments",
-        "steps per second, including learning",
-        "single environment",
-        "ratio",
-    ]
-    heads += ["CPU ms per step: learner", "environments", "steps per second of two idle cores"]
-    return f"{__doc__}\n{table(heads, [(name, *values.values()) for name, values in figures.items()])}"
+    heads = ["observation, actions, environments", "steps per second, including learning", "single environment"]
+    heads += ["ratio", "CPU ms per step: learner", "environments", "steps per second of two idle cores"]
+    return whole_rows(heads, figures)

@@ -12,7 +12,7 @@ that the structure made, the share of scans with at least three right pairs and 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -24,16 +24,12 @@ from benchmarks.drives import Drive, replay
 from benchmarks.loop import HARD, named
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.intervals import estimate, ratio
-from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
-from mecp_env.slam.association import make_associator
-from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
-from mecp_env.slam.protocols import Associator, Filter
 
 SEEDS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
 SETS, MOST = tuple(SEEDS), 500
@@ -47,53 +43,6 @@ GATES = (
     Gate("closed/paper/largest_area/recall", "share", 0.01),
     Gate("closed/twins/mecp/false_per_100", "bound", 5.0),
 )
-
-
-@dataclass(slots=True, eq=False)
-class CountingAssociator(Associator):
-    """An associator, and what part of its decisions polygons made."""
-
-    counted: Associator
-    corners: int = 0
-    by_polygon: int = 0
-    scans: int = 0
-    recognised: int = 0
-    polygons: list[int] = field(default_factory=list)  # of each scan
-    vertices: list[int] = field(default_factory=list)  # of the first polygon of each scan
-    area_m2: list[float] = field(default_factory=list)
-
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """The match of the associator."""
-        match = self.counted.associate(corners, polygons, view, belief)
-        self.corners += len(corners)
-        self.by_polygon += int((match.reason == Reason.POLYGON).sum())
-        self.scans += 1
-        self.recognised += match.polygon >= 0
-        self.polygons.append(len(polygons))
-        if polygons:
-            ring = polar_to_points(corners.z[polygons[0].corners])
-            following = np.roll(ring, -1, axis=0)
-            self.vertices.append(len(ring))
-            self.area_m2.append(0.5 * float((ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]).sum()))
-        return match
-
-    def remember(self, match: Match) -> None:
-        """As the associator does."""
-        self.counted.remember(match)
-
-    @property
-    def counts(self) -> Figures:
-        """Sums over the drive."""
-        return {
-            "paired": self.by_polygon,
-            "seen": self.corners,
-            "recognised": self.recognised,
-            "scans": self.scans,
-            "found": len(self.vertices),
-            "unique": self.polygons.count(1),
-            "vertices": float(np.mean(self.vertices)) if self.vertices else 0.0,
-            "area_m2": float(np.mean(self.area_m2)) if self.area_m2 else 0.0,
-        }
 
 
 def run(options: Options) -> Figures:
@@ -134,14 +83,7 @@ def with_structure(drive: Drive, name: str) -> Drive:
 
 def closed_loop(drive: Drive) -> Figures:
     """Counts of one drive."""
-    made: list[CountingAssociator] = []
-
-    def make(section: AssociationConfig) -> Associator:
-        made.append(CountingAssociator(make_associator(section)))
-        return made[0]
-
-    counted = association.counts(drive, replay(drive, drive.slam, make))
-    return {**counted, **made[0].counts, "us": time_us(drive, drive.slam)}
+    return {**association.counts(drive, replay(drive, drive.slam)), "us": time_us(drive, drive.slam)}
 
 
 def time_us(drive: Drive, slam: SlamConfig) -> float:
@@ -204,17 +146,12 @@ def right(run: Any, variant: str, sigma: tuple[float, float]) -> float:
 
 def report(figures: Figures) -> str:
     """Per layout the tables of both parts."""
-    parts = []
+    parts = {}
+    columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
     for layout, rows in figures["closed"].items():
-        shown = [key for key in next(iter(rows.values())) if key != "drives"]
-        counted = next(iter(rows.values()))["drives"]
-        body = [[key, *(row[key] for row in rows.values())] for key in shown]
-        parts.append(f"## {layout}, closed loop ({counted} drives)\n\n{table(['', *rows], body)}")
-        rough = figures["rough"].get(layout)
-        if rough:
-            columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
-            cells = [
-                [f"{name}: {c}", *(cell[k] for k in columns)] for name, of in rough.items() for c, cell in of.items()
-            ]
-            parts.append(f"## {layout}, rough pose\n\n{table(['structure: associator, sigma', *columns], cells)}")
-    return page(__doc__, *parts)
+        parts[f"{layout}, closed loop"] = turned(rows)
+        rough = figures["rough"].get(layout, {})
+        cells = {f"{name}: {cell}": row for name, of in rough.items() for cell, row in of.items()}
+        if cells:
+            parts[f"{layout}, rough pose"] = table_of("structure: associator, sigma", columns, cells)
+    return sections(parts)

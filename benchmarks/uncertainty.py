@@ -17,9 +17,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from benchmarks.columns import columns_of, means
-from benchmarks.common import Figures, Gate, OptionError, Options, chosen, grouped, in_parallel
+from benchmarks.common import Figures, Gate, OptionError, Options, buildings_of, grouped, in_parallel
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.tables import page, table
+from benchmarks.tables import sections, table
 from mecp_env.core.intervals import estimate, share
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
@@ -62,16 +62,17 @@ Unit = tuple[str, str, str, str, str, int]  # task, point, policy, its checksum,
 def run(options: Options) -> Figures:
     """Results of every point, policy and estimator."""
     task, policies = checked(options)
-    counts = buildings(options)
+    points = QUICK if options.quick and not options.sets else CHANGES
+    counts = buildings_of(options, points, QUICK_BUILDINGS if options.quick else BUILDINGS, MOST)
     units = units_of(task, counts, policies)
     found: dict[tuple[str, str], dict[str, list[dict[str, float]]]] = {}
     results = grouped(units, in_parallel(episode, dict[str, float], units, options))
     for (_, point, policy, _, estimator), episodes in results.items():
         found.setdefault((point, policy), {})[estimator] = episodes
-    points: Figures = {point: {} for point in counts}
+    results_of: Figures = {point: {} for point in counts}
     for (point, policy), estimators in found.items():
-        points[point][policy] = summarise(estimators) | over(estimators, found.get((point, GREEDY)))
-    return {"task": task, "range_m": range_of(task), "points": points}
+        results_of[point][policy] = summarise(estimators) | over(estimators, found.get((point, GREEDY)))
+    return {"task": task, "range_m": range_of(task), "points": results_of}
 
 
 def units_of(task: str, counts: Mapping[str, int], policies: Sequence[str]) -> list[Unit]:
@@ -96,15 +97,6 @@ def checked(options: Options) -> tuple[str, tuple[str, ...]]:
     for policy in policies:
         make_policy(policy)
     return task, policies
-
-
-def buildings(options: Options) -> dict[str, int]:
-    """How many buildings there are at each point. Raises `OptionError`."""
-    if options.buildings > MOST:
-        raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
-    count = options.buildings or (QUICK_BUILDINGS if options.quick else BUILDINGS)
-    there_are = dict.fromkeys(CHANGES, count)
-    return chosen(options.sets, there_are, MOST) or dict.fromkeys(QUICK if options.quick else CHANGES, count)
 
 
 def episode(unit: Unit) -> dict[str, float]:
@@ -142,16 +134,16 @@ def over(
 def report(figures: Figures) -> str:
     """One table per point with one row per policy."""
     header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
-    parts = [f"Task: `{figures['task']}`."]
+    parts = {}
     for point, policies in figures["points"].items():
         there = {
             name: title for name, title in DIFFERENCES.items() if all(name in found for found in policies.values())
         }
         rows = [[policy, *row_of(found, list(there))] for policy, found in policies.items()]
         count = next(iter(policies.values()))["price"]["n"]
-        title = f"## {title_of(point, figures)}, {count} building{'s' * (count > 1)}"
-        parts.append(f"{title}\n\n{table([*header, *there.values()], rows)}")
-    return page(__doc__, *parts)
+        title = f"{title_of(point, figures)}, {count} building{'s' * (count > 1)}"
+        parts[title] = table([*header, *there.values()], rows)
+    return f"Task: `{figures['task']}`.\n\n{sections(parts)}"
 
 
 def row_of(found: Figures, differences: Sequence[str]) -> list[str]:

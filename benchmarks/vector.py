@@ -27,7 +27,7 @@ from gymnasium.wrappers import FilterObservation
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, in_turns
 from benchmarks.process_use import memory_mb, processor_s
-from benchmarks.tables import table
+from benchmarks.tables import sections, whole_rows
 from mecp_env.core.intervals import estimate
 from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
@@ -54,7 +54,8 @@ def run(options: Options) -> Figures:
 
 def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[str, ...] = ()) -> Figures:
     """Results of each kind in a setting."""
-    names = list(kinds or available())
+    there = importlib.util.find_spec("stable_baselines3") is not None
+    names = list(kinds or (kind for kind in MAKERS if kind != SUBPROC or there))
     memory = {name: memory_alone(name, setting, EPISODE) for name in names}
     drivers = {name: Driver(name, setting) for name in names}
     try:
@@ -92,11 +93,6 @@ def _memory_here(kind: str, setting: dict[str, Any], steps: int) -> float:
     used = memory_mb(driver.pids())
     driver.close()
     return used
-
-
-def available() -> tuple[str, ...]:
-    """The kinds whose libraries are installed."""
-    return tuple(kind for kind in MAKERS if kind != SUBPROC or importlib.util.find_spec("stable_baselines3"))
 
 
 def make_env(setting: dict[str, Any]) -> gymnasium.Env[Any, Any]:
@@ -218,7 +214,11 @@ class Driver:
     def pids(self) -> list[int]:
         """All running processes: this one and its workers."""
         batch = getattr(self.venv, "batch", self.venv)
-        workers = batch.pids if isinstance(batch, BatchEnv) else [p.pid for p in processes(self.venv)]
+        workers = (
+            batch.pids
+            if isinstance(batch, BatchEnv)
+            else [process.pid for process in getattr(self.venv, "processes", ())]
+        )
         return [os.getpid(), *workers]
 
     def close(self) -> None:
@@ -226,16 +226,7 @@ class Driver:
         self.venv.close()
 
 
-def processes(venv: Any) -> list[Any]:
-    """The workers of another library's vector environment."""
-    return list(getattr(venv, "processes", ()))
-
-
 def report(figures: Figures) -> str:
     """One table per setting with one row per kind."""
     heads = ["kind", "steps per second", "over a single one", "over async", "CPU us per step", "memory MB"]
-    pages = [
-        f"## {setting}\n\n{table(heads, [(kind, *values.values()) for kind, values in kinds.items()])}"
-        for setting, kinds in figures.items()
-    ]
-    return "\n\n".join([__doc__ or "", *pages])
+    return sections({setting: whole_rows(heads, kinds) for setting, kinds in figures.items()})

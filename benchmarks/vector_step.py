@@ -18,7 +18,7 @@ from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Gate, Options, in_turns
-from benchmarks.tables import table
+from benchmarks.tables import sections, whole_rows
 from mecp_env.core.intervals import estimate
 
 NAME = "mecp_env/PaperMap-v0"
@@ -58,8 +58,4 @@ def figures(name: str, measured: list[dict[str, float]]) -> Figures:
 def report(figures: Figures) -> str:
     """One table per setting with one row per kind."""
     heads = ["kind", "steps per second", "over a single one"]
-    pages = [
-        f"## {setting}\n\n{table(heads, [(kind, *values.values()) for kind, values in kinds.items()])}"
-        for setting, kinds in figures.items()
-    ]
-    return "\n\n".join([__doc__ or "", *pages])
+    return sections({setting: whole_rows(heads, kinds) for setting, kinds in figures.items()})

@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.batch import Motion, Optimum, Record, Sighting, filtered, in_order, optimum
 from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data
 from benchmarks.errors import rms, sigma_ratio
-from benchmarks.tables import page, table
+from benchmarks.tables import table
 from mecp_env.core.carriers import Array
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, AssociationConfig, FilterConfig
@@ -119,4 +119,4 @@ def report(figures: Figures) -> str:
     ]
     best = figures["batch"]
     said = f"Batch optimum: chi2 {best['chi2']:.0f} at {best['freedom']} degrees of freedom."
-    return page(__doc__, said, table(["filter", "updates", *columns], rows))
+    return f"{said}\n\n{table(['filter', 'updates', *columns], rows)}"

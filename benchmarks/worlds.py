@@ -21,10 +21,10 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.columns import columns_of, means, ratios
+from benchmarks.columns import of_visits
 from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, shared_data
 from benchmarks.drives import exploration
-from benchmarks.tables import table
+from benchmarks.tables import sections, turned
 from mecp_env.core.intervals import estimate, share
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
@@ -59,6 +59,11 @@ MOST = 1000  # buildings of the test split
 PIXEL_M = 0.05  # of plans that are plain images
 MAX_STEPS = 10_000
 COMPLETE_COVERAGE = 0.95
+TOTALS = (
+    *("coverage", "rooms_left", "room_recall", "room_precision", "door_recall", "door_precision", "precision"),
+    *("recall", "map_rmse_m", "landmarks_false", "duplicates", "landmarks_on_movers", "pose_rmse_m", "nees"),
+    *("metres", "periods", "contacts_per_100_m", "grid_iou", "landmarks"),
+)
 KEPT = Path("runs/worlds")
 
 GATES = tuple(
@@ -85,11 +90,14 @@ class Visit:
     @property
     def outcome(self) -> str:
         """lost, complete or stuck."""
-        final = self.final
-        if final["lost"]:
+        if self.final["lost"]:
             return "lost"
-        found = final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
-        return "complete" if self.seen and found else "stuck"
+        return "complete" if self.seen and found_all(self.final) else "stuck"
+
+
+def found_all(final: dict[str, float]) -> bool:
+    """True when every room and every door was found."""
+    return final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
 
 
 def run(options: Options) -> Figures:
@@ -177,7 +185,7 @@ def summarise(visits: list[Visit]) -> Figures:
     """Results of one preset, each with its 95 % interval."""
     return (
         outcomes(visits)
-        | totals([visit.final for visit in visits])
+        | of_visits([visit.final for visit in visits], TOTALS)
         | {
             "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
             "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
@@ -191,38 +199,21 @@ def outcomes(visits: list[Visit]) -> Figures:
     return {"seen": share(visit.seen for visit in visits)} | ends
 
 
-def totals(finals: list[dict[str, float]]) -> Figures:
-    """Coverage, precision and cost."""
-
-    of = columns_of(finals)
-    of |= {"right": of["association_pairs"] - of["association_false"], "contacts_100": 100.0 * of["contacts"]}
-    of |= {"all_rooms": of["rooms"] + of["rooms_cut_off"], "recall": of["association_recall"], "nees": of["nees_mean"]}
-    of |= {f"all_{kind}_found": of[f"{kind}_found"] + of[f"{kind}_false"] for kind in ("rooms", "doors")}
-    return {
-        **means(of, "coverage"),
-        **ratios(of, rooms_left="rooms/all_rooms", room_recall="rooms_found/rooms"),
-        **ratios(of, room_precision="rooms_found/all_rooms_found", door_recall="doors_found/doors"),
-        **ratios(of, door_precision="doors_found/all_doors_found", precision="right/association_pairs"),
-        **means(of, "recall", "map_rmse_m", "landmarks_false", "duplicates", "landmarks_on_movers"),
-        **means(of, "pose_rmse_m", "nees", "metres", "periods"),
-        **ratios(of, contacts_per_100_m="contacts_100/metres"),
-        **means(of, "grid_iou", "landmarks"),
-    }
-
-
 def report(figures: Figures) -> str:
     """One table per preset with one column per setting; the plans last."""
-    presets = dict.fromkeys(SETTINGS[name][0] if name in SETTINGS else name for name in figures)
-    return "\n\n".join([__doc__ or "", *(page(preset, figures) for preset in presets)])
+    presets = dict.fromkeys(preset_of(name) for name in figures)
+    return sections({preset: table_of_preset(preset, figures) for preset in presets})
 
 
-def page(preset: str, figures: Figures) -> str:
+def table_of_preset(preset: str, figures: Figures) -> str:
     """The table of a preset."""
-    mine = {name: values for name, values in figures.items() if SETTINGS.get(name, (name, {}))[0] == preset}
-    names = next(iter(mine.values()))
-    rows = [(name.replace("_", " "), *(setting[name] for setting in mine.values())) for name in names]
-    heads = [f"{title(name)} ({setting['complete']['n']})" for name, setting in mine.items()]
-    return f"## {preset}\n\n{table(['', *heads], rows)}"
+    mine = {name: values for name, values in figures.items() if preset_of(name) == preset}
+    return turned(mine, [f"{title(name)} ({setting['complete']['n']})" for name, setting in mine.items()])
+
+
+def preset_of(setting: str) -> str:
+    """The preset of a setting; the plans are one of their own."""
+    return SETTINGS[setting][0] if setting in SETTINGS else setting
 
 
 def title(setting: str) -> str:

@@ -14,12 +14,12 @@ from gymnasium.envs.registration import EnvSpec
 from gymnasium.error import ResetNeeded
 
 from mecp_env.config import EnvConfig, ObservationConfig, plain_value
-from mecp_env.core.carriers import Array, Bytes
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.core.snapshot import decode, encode, generator_data, make_generator
 from mecp_env.episode.actions import make_actions
-from mecp_env.episode.compact_observations import Flat, Image, most_floor_first
+from mecp_env.episode.compact_observations import Flat, Image, best_place_last, most_floor_first
 from mecp_env.episode.episode import (
     PARTS,
     STATE_FORMAT,
@@ -146,6 +146,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._actions = make_actions(self.config.actions)
         self.action_space = self._actions.space
         self._slam, self._planning = self.config.estimator_config, self.config.planning_config
+        self._apart = self.config.observation.format == "flat" and self.config.actions == "goal"  # see `goal_actions`
         self._observer = self._new_observer()
         self.observation_space: spaces.Space[Any] = self._observer.space
         self._oracle = ORACLES[self.config.estimator]
@@ -289,6 +290,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def goals(self) -> Goals:
         """The current goals, as in the observation: those of the exploration, then known ground and waiting."""
         return self._started().rows
+
+    @property
+    def goal_actions(self) -> Ints:
+        """(g,) the goal action of each of the `goals`, which is the row that describes it."""
+        return self.goals.actions(GOALS, self._apart)
+
+    def goal_at(self, action: int) -> int | None:
+        """Where in `goals` that of a goal action is; None where it has none."""
+        return self.goals.at(action, GOALS, self._apart)
 
     @property
     def goals_left(self) -> int:
@@ -448,7 +458,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """Search for goals now; rooms without goals become complete in the grid."""
         episode = self._started()
         episode.goals = find_goals(episode.slam_output, episode.goal_history, self._planning)
-        if self.config.observation.format == "flat" and self.config.actions == "goal":
+        if self._apart:
             episode.goals = most_floor_first(episode.goals, episode.slam_output.grid)
         painter, graph = episode.pipeline.grid, episode.slam_output.graph
         painter.complete(complete_rooms(episode.goals, episode.goal_history, graph))
@@ -457,6 +467,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         travelled = episode.path_map.points[: episode.path_map.count]
         around = Surroundings(episode.slam_output, episode.goal_history, travelled)
         episode.offered = offered_goals(episode.goals, around, self._planning, GOALS)
+        if self._apart and episode.offered is not None:
+            episode.offered = best_place_last(episode.offered, episode.slam_output.belief.pose_cov)
         episode.goals_step, episode.goals_key = episode.slam_output.step, goals_key(episode.slam_output)
 
     def _compare(self, episode: EpisodeState, motion: Motion, T_world_robot: Array) -> None:

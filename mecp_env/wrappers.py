@@ -42,6 +42,8 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
     left is followed by one step of waiting, in which the episode ends (unless nothing was mapped yet; with pedestrians
     or a blind side it ends after several such steps, and a robot with a blind side turns meanwhile).
 
+    Action k drives to the goal in row k of the observation; in "flat", known ground has the last rows.
+
     `info["action_mask"]` (32,) int8 is 1 in rows that contain a goal, as `action_space.sample(mask=...)` takes it. An
     empty row is "masked": the robot drives to the goal that explores and is nearest in time instead (without one, to
     open floor or a place; then it waits), so that no policy stands still for ever, whatever rows it selects.
@@ -73,7 +75,9 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
 
     def action_masks(self) -> NDArray[np.bool_]:
         """(32,) which rows of the observation contain a goal."""
-        return np.arange(GOALS) < len(self.base.goals)
+        offered = np.zeros(GOALS, np.bool_)
+        offered[self.base.goal_actions[:GOALS]] = True
+        return offered
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
@@ -84,9 +88,9 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
 
     def step(self, action: Any) -> Step:
         """Drive to the goal in row `action`; see the class. Raises `ActionError` for what is no row."""
-        row = check_choice(action, GOALS)
-        if row < len(self.base.goals):
-            return self._finish(*self._go(row))
+        chosen = self.base.goal_at(check_choice(action, GOALS))
+        if chosen is not None:
+            return self._finish(*self._go(chosen))
         best = self.times.best(self.base.goals, GOALS)
         return self._finish([self._wait()] if best is None else self._go(best)[0], "masked")
 

@@ -93,7 +93,7 @@ class Explore(WithModules):
         base: Any = env.unwrapped
         terminated = truncated = False
         while not (terminated or truncated):
-            mask, goals = masks(), base.goals
+            mask, goals = masks(), dict(zip(base.goal_actions.tolist(), base.goals.rows(len(base.goals)), strict=True))
             with calls_of(self.policy):
                 action = policy.act(observation, mask)
             observation, _, terminated, truncated, info = env.step(action)
@@ -128,13 +128,13 @@ class Explore(WithModules):
         return buildings | {"split": split}, {"building": int(number)}
 
 
-def drive_line(goals: Any, row: int, info: Mapping[str, Any]) -> str:
-    """The result of a drive to a goal, of the environment's `Goals` when it was chosen."""
+def drive_line(goals: Mapping[int, Any], row: int, info: Mapping[str, Any]) -> str:
+    """The result of a drive to a goal, of those that there were when it was chosen, by their row."""
     from mecp_env.policies.registry import KINDS
 
     where = f"no goal in row {row}"
-    if row < len(goals):
-        where = f"{KINDS[goals.kind[row]]} of room {goals.room[row]}, {goals.path_m[row]:.1f} m away"
+    if row in goals:
+        where = f"{KINDS[goals[row].kind]} of room {goals[row].room}, {goals[row].path_m:.1f} m away"
     result = f"{info['event']} after {info['periods']} steps"
     return f"{where:44s}{result:28s}{info['coverage']:7.1%} seen {info['metres']:7.1f} m driven"
 

@@ -9,14 +9,14 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mecp_env.core.carriers import Array, Bytes
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import to_robot
 from mecp_env.core.settings import guess
 from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.episode.observations import GridWindows, Seen
-from mecp_env.planning.goal_list import GoalKind, RowTimes
+from mecp_env.planning.goal_list import PLACE, GoalKind, RowTimes
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import Cell, SemanticGrid
 
@@ -68,6 +68,7 @@ BEAMS = 24
 SECTOR_RAD, BEAM_RAD = 2.0 * math.pi / SECTORS, 2.0 * math.pi / BEAMS
 UNKNOWN, OCCUPIED = int(Cell.UNKNOWN), int(Cell.OCCUPIED)
 DIRECTIONS = np.array([(math.cos(k * BEAM_RAD), math.sin(k * BEAM_RAD)) for k in range(BEAMS)])
+AHEAD_M, METRE = 4.0, 0.02  # of the cost of a place, as in `Returning`
 POWER, START_M, LEAST_M2 = 0.7, 2.0, 0.1  # of the value of a goal, as in `NextBestView`
 DERIVED = 5  # columns of a goal that depend on the pose or the grid
 IMAGE = (64, 0.4)  # cells per side, m per cell
@@ -115,15 +116,16 @@ def fill_flat(
     halves: Floats,
     belief: tuple[Array, Array],
     figures: tuple[float, float, float, float, float, float],
-    rows: Array,
+    rows: tuple[Ints, Array],
     beams: tuple[Array, Array, float],
     grid: Grid,
 ) -> int:
     """Fill `flat` (n,), which is 0, in the order of `flat_columns`; how many values were not finite, and became 0.
 
     `halves` (n,): the h of each column. `belief`: pose (3,) and its covariance (3,3). `figures`: confidence, localised,
-    recognised, budget, number of goals and of landmarks. `rows` (g,2+k): x, y (m, map frame) of the goals, and the last
-    k columns of each. `beams`: bearings and ranges (b,) of the merged scan, and the heading of the laser on the robot.
+    recognised, budget, number of goals and of landmarks. `rows`: (g,) which row describes each goal, and (g,2+k) its
+    x, y (m, map frame) and last k columns. `beams`: bearings and ranges (b,) of the merged scan, and the heading of the
+    laser on the robot.
     """
     (pose, cov), (bearings, ranges, heading), (label, _, cell_m) = belief, beams, grid
     c, s, far = math.cos(pose[2]), math.sin(pose[2]), math.hypot(pose[0], pose[1])
@@ -145,18 +147,19 @@ def fill_flat(
         nearest[sector] = min(nearest[sector], ranges[i])
     for k in range(SECTORS):
         flat[FIRST_RANGE + k] = nearest[k] / (nearest[k] + RANGE_M) if nearest[k] < math.inf else NO_BEAM
-    width = rows.shape[1] + 3
-    for row in range(rows.shape[0]):
-        at = FIRST_GOAL + row * width
-        dx, dy = rows[row, 0] - pose[0], rows[row, 1] - pose[1]
+    place, goals = rows
+    width = goals.shape[1] + 3
+    for g in range(goals.shape[0]):
+        at = FIRST_GOAL + place[g] * width
+        dx, dy = goals[g, 0] - pose[0], goals[g, 1] - pose[1]
         far = math.hypot(dx, dy)
         flat[at] = 1.0
         if far > 0.0:
             flat[at + 1], flat[at + 2], flat[at + 3] = (c * dx + s * dy) / far, (c * dy - s * dx) / far, far
-        if rows[row, 5] < EXPLORED:
-            flat[at + 4] = unseen_floor(rows[row, 0], rows[row, 1], grid)
+        if goals[g, 5] < EXPLORED:
+            flat[at + 4] = unseen_floor(goals[g, 0], goals[g, 1], grid)
         for k in range(5, width):
-            flat[at + k] = rows[row, k - 3]
+            flat[at + k] = goals[g, k - 3]
     outside = 0
     for i in range(flat.shape[0]):
         if not math.isfinite(flat[i]):
@@ -203,12 +206,24 @@ def most_floor_first(goals: Goals, grid: SemanticGrid) -> Goals:
     return goals.in_order(np.argsort(-value, kind="stable"))
 
 
+def best_place_last(goals: Goals, pose_cov: Array) -> Goals:
+    """The goals with the places on known ground from the worst to the best; waiting stays the last.
+
+    The best one has the least predicted deviation on arrival, of what is drawn 4 m ahead, and cost of the way, 2 % of
+    the present deviation per metre.
+    """
+    x, y, heading = np.maximum(np.diagonal(pose_cov), 0.0).tolist()
+    now_m = math.hypot(math.sqrt(0.5 * (x + y)), AHEAD_M * math.sqrt(heading))
+    cost = np.hypot(goals.sigma_m, AHEAD_M * goals.sigma_rad) + METRE * now_m * goals.path_m
+    return goals.in_order(np.lexsort((np.where(goals.kind == PLACE, -cost, 0.0), goals.kind >= PLACE)))
+
+
 class Flat:
     """Computes observations of the format "flat": float32 (n,) in [-1, 1], whose columns `mecp_env.flat_names` names.
 
-    With `actions="goal"`, all 32 rows of goals are described, row k for action k (n = 325, 421 with `uncertainty`);
-    with other actions, the 16 that are nearest in time (n = 181, 229). Lengths and counts are squashed, so that no
-    bound cuts them. Rows without a goal are 0.
+    With `actions="goal"`, all 32 rows of goals are described, row k for action k (n = 325, 421 with `uncertainty`):
+    those that explore from the first on, known ground up to the last. With other actions, the 16 that are nearest in
+    time (n = 181, 229). Lengths and counts are squashed, so that no bound cuts them. Rows without a goal are 0.
     """
 
     def __init__(self, actions: str, uncertainty: bool = False, times: RowTimes | None = None) -> None:
@@ -238,14 +253,15 @@ class Flat:
         )
         return flat, outside + max(0, len(goals) - self._most)
 
-    def _goal_rows(self, goals: Goals) -> Array:
-        """(g,2+k) what `fill_flat` reads of the goals that are described."""
+    def _goal_rows(self, goals: Goals) -> tuple[Ints, Array]:
+        """What `fill_flat` reads of the goals that are described: the row (g,) and the numbers (g,2+k) of each."""
         seconds = self._times.seconds(goals)
         order = np.argsort(seconds, kind="stable") if self._nearest_first else np.arange(len(goals))
         near, kind = NEAR_S / (NEAR_S + seconds), (goals.kind + 1.0) / KINDS
         columns = (near, goals.size_m, goals.visits, kind, goals.sigma_m, goals.sigma_rad, goals.gain_nat)
         rows: Array = np.column_stack([goals.p_map, *columns[: self._last]])[order[: self._most]]
-        return np.ascontiguousarray(rows)
+        places = np.arange(len(rows)) if self._nearest_first else goals.actions(self._most, True)[: self._most]
+        return places, np.ascontiguousarray(rows)
 
 
 class Image:

@@ -104,6 +104,19 @@ class Goals:
         """The goals `order` (k,) of the list."""
         return Goals(**{column.name: getattr(self, column.name)[order] for column in fields(self)})
 
+    def actions(self, choices: int, apart: bool) -> Ints:
+        """(g,) the action of each goal; if they are `apart`, known ground and waiting have the last of all `choices`.
+
+        So the last action always waits, and the one before it drives to the best place.
+        """
+        rows = np.arange(len(self))
+        return np.where(self.kind < PLACE, rows, rows + choices - len(self)) if apart else rows
+
+    def at(self, action: int, choices: int, apart: bool) -> int | None:
+        """Where in the list the goal of that action is; None where it has none."""
+        found = np.flatnonzero(self.actions(choices, apart) == action)
+        return int(found[0]) if len(found) else None
+
     @classmethod
     def of(cls, goals: Sequence[Goal]) -> Goals:
         """The list of some goals, in their order."""

@@ -30,9 +30,10 @@ def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
 ) -> None:
     asked = list[tuple[int, tuple[int, ...]]]()
     monkeypatch.setattr(against.peers, "measure", lambda *given: asked.append(given) or {})  # test_peers.py has them
+    monkeypatch.setattr(against, "SWEEPS", (1,))
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")  # the copy has no cache, and few steps
     sizes = against.Sizes(block=5, episode=10, warm_up=5, total=20)
-    figures = against.run(Options(against="HEAD", sweeps=(1,)), sizes)
+    figures = against.run(Options(against="HEAD"), sizes)
     assert set(figures) == {"against", "K=1", "peers"}
     assert asked == [(4, (1,))]
     for values in figures["K=1"].values():

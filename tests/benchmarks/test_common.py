@@ -16,6 +16,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import common
 from benchmarks.common import Gate, Options
+from benchmarks.pages import pages
 from mecp_env.core import intervals
 from mecp_env.core.work_units import Shard
 
@@ -172,19 +173,19 @@ def test_the_command_writes_figures_and_page_and_gates_against_them(
         ("", "name"),
         ("speed --jobs 0", "expected at least 1"),
         ("worlds --shard 3/2", "1 <= NUMBER <= COUNT"),
-        ("speed --shard 1/2", "--shard: speed is measured whole"),
+        ("speed --shard 1/2", "--shard: speed does not have it; ablation"),
         ("worlds --sets easy:1001", "a count from 1 to 1000"),
         ("returns --buildings 1001", "--buildings 1001"),
         ("worlds --sets tiny", "expected one of easy"),
         ("features --sets easy", "--sets: features is measured whole"),
-        ("features --against HEAD", "--against: only for speed and start"),
+        ("features --against HEAD", "--against: features does not have it; speed, start do"),
         ("speed --against nosuch", "--against nosuch: no such commit"),
-        ("speed --sweeps 1", "--sweeps: only for speed --against"),
-        ("noise --buildings 3", "--task, --policies, --buildings: only for returns and uncertainty"),
-        ("speed --records x", "--records: speed replays no drives"),
+        ("speed --against HEAD --gate", "--against: not with --gate"),
+        ("noise --buildings 3", "--buildings: noise does not have it; returns, uncertainty do"),
+        ("speed --records x", "--records: speed does not have it; ablation"),
         (f"loop --records {__file__}", "is a file, not a folder"),
         ("record --sets speed", "expected one of association, association_time, clutter"),
-        ("soak --cluster 127.0.0.1:1", "--cluster: soak runs here; ablation"),
+        ("soak --cluster 127.0.0.1:1", "--cluster: soak does not have it; ablation"),
         ("loop --cluster 127.0.0.1:1 --jobs 2", "--jobs 2: with --cluster"),
     ],
 )
@@ -208,3 +209,9 @@ def test_every_benchmark_has_a_row_in_the_results_and_its_gates_name_figures_of_
             assert common.failures(module.GATES, content, content) == []
             compared += 1
     assert compared > 20
+
+
+def test_every_page_is_what_its_result_gives() -> None:
+    """`python -m benchmarks.pages` writes them again."""
+    stale = [path.stem for path, page in pages() if page != path.with_suffix(".md").read_text()]
+    assert not stale

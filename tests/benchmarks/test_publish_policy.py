@@ -7,7 +7,9 @@ import pytest
 pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
-from benchmarks.publish_policy import PublishOptions, main, read_run
+from benchmarks import publish_policy
+from benchmarks.publish_policy import read_run
+from mecp_env.cli.exit_codes import run_command
 from mecp_env.learning.encoder import make_network
 from mecp_env.learning.files import save_policy, write_json
 from mecp_env.learning.learned import load
@@ -27,6 +29,11 @@ def make_run(folder, areas, algorithm="maskable_ppo", width=16):
     return folder
 
 
+def main(runs, weights):
+    """The exit code of publishing runs to a folder."""
+    return run_command(lambda: publish_policy.publish(runs, weights))
+
+
 def shipped(weights):
     """The files there with their bytes."""
     return {path.name: path.read_bytes() for path in (weights / "maskable_ppo").iterdir()}
@@ -34,16 +41,13 @@ def shipped(weights):
 
 def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
     runs = (make_run(tmp_path / "a", [0.5, 0.8]), make_run(tmp_path / "b", [0.5, 0.6, 0.7], width=24))
-    assert main(PublishOptions(runs[1:], tmp_path / "weights")) == 0
-    assert main(PublishOptions(runs, tmp_path / "weights")) == 0  # the one before goes, with its table
+    assert main(runs[1:], tmp_path / "weights") == 0
+    assert main(runs, tmp_path / "weights") == 0  # the one before goes, with its table
     found = shipped(tmp_path / "weights")
     assert found["progress.csv"] == b"a\n"
     assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
     assert load(tmp_path / "weights" / "maskable_ppo").config == load(runs[0]).config
-    picture = tmp_path / "curve.png"
-    assert main(PublishOptions(runs[:1], tmp_path / "none", picture, ship=False)) == 0
-    assert picture.stat().st_size > 1000
-    assert not (tmp_path / "none").exists()
+    assert len(found["curve.png"]) > 1000
 
 
 def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
@@ -54,10 +58,10 @@ def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
         rows = (run / "evaluation.csv").read_text().splitlines()
         lines = [f"{rows[0]},correct_over_steps", *(f"{row},{best}" for row in rows[1:])]
         (run / "evaluation.csv").write_text("\n".join(lines) + "\n")
-    assert main(PublishOptions(runs, tmp_path / "weights", ship=False)) == 0
+    assert main(runs, tmp_path / "weights") == 0
     assert read_run(runs[0]).area.tolist() == [0.7, 0.7]
     assert (tmp_path / "weights" / "maskable_ppo" / "curve.png").stat().st_size > 1000
-    assert main(PublishOptions((runs[0], make_run(tmp_path / "c", [0.5])), tmp_path / "weights")) == 2
+    assert main((runs[0], make_run(tmp_path / "c", [0.5])), tmp_path / "weights") == 2
 
 
 def test_wrong_input_is_refused(tmp_path, capsys):
@@ -75,9 +79,9 @@ def test_wrong_input_is_refused(tmp_path, capsys):
         ((run["good"], tmp_path / "none"), ""),
         ((run["good"], other), ""),
         ((bare,), f"{bare} is not a run folder: 'algorithm' is missing\n"),
-        ((gone,), f"{gone} is not a run folder: {gone / 'config.json'}: No such file or directory\n"),
+        ((gone,), f"{gone} is not a run folder: "),
     ):
-        assert main(PublishOptions(runs, tmp_path / "weights")) == 2
+        assert main(runs, tmp_path / "weights") == 2
         told = capsys.readouterr().err
         assert told.startswith(f"mecp-env: runs: {said}")
         assert "Error" not in told
@@ -86,7 +90,7 @@ def test_wrong_input_is_refused(tmp_path, capsys):
 @pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])
 def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path, capsys, monkeypatch):
     weights, run = tmp_path / "weights", make_run(tmp_path / "b", [0.6])
-    assert main(PublishOptions((make_run(tmp_path / "a", [0.5]),), weights)) == 0
+    assert main((make_run(tmp_path / "a", [0.5]),), weights) == 0
     before, policy = shipped(weights), next(run.glob("policy-*"))
     if wrong == "flipped":
         policy.write_bytes(policy.read_bytes()[:-1] + b"x")
@@ -96,6 +100,6 @@ def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path,
         (run / "run.json").unlink()
     monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100 if wrong == "large" else 10**9)
     runs = (weights / "maskable_ppo" if wrong == "itself" else run,)
-    assert main(PublishOptions(runs, run / "run.json" if wrong == "no folder" else weights)) == 2
+    assert main(runs, run / "run.json" if wrong == "no folder" else weights) == 2
     assert "mecp-env: " in capsys.readouterr().err
     assert shipped(weights) == before

@@ -64,4 +64,3 @@ def test_a_benchmark_has_all_words() -> None:
         given = parser().parse_args(["association", f"--{option}", "a", "b", "--jobs", "2", f"--{option}", "c"])
         assert getattr(given, field) == ["a", "b", "c"]
         assert getattr(parser().parse_args(["association"]), field) == []
-    assert parser().parse_args(["speed", "--sweeps", "1", "--sweeps", "4"]).sweeps == [1, 4]

@@ -14,9 +14,9 @@ import pytest
 
 import mecp_env
 from mecp_env.core.errors import ConfigError
-from mecp_env.episode.compact_observations import goal_cells, unseen_floor
+from mecp_env.episode.compact_observations import best_place_last, goal_cells, unseen_floor
 from mecp_env.episode.observation_arrays import LAYERS
-from mecp_env.planning.goal_list import WAIT
+from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, NEEDED, drive, episode_of, make
@@ -71,9 +71,12 @@ def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...
     wait_s = config.known_ground.wait_steps * 0.4
     seconds = np.where(goals[:, 4] == WAIT, wait_s, goals[:, 2] / config.control.speed_m_s)
     order = np.arange(len(goals)) if by_row else np.argsort(seconds, kind="stable")
-    described: list[dict[str, float]] = [goal_twin(goals[k], seconds[k], env) for k in order]
-    for k in range(32 if by_row else 16):
-        values = described[k] if k < len(described) else dict.fromkeys(GOAL_NAMES, 0.0)
+    most = 32 if by_row else 16
+    last = most - len(goals) if by_row else 0  # known ground has the last rows
+    rows = [k + (last if goals[i, 4] >= PLACE else 0) for k, i in enumerate(order)]
+    described = {row: goal_twin(goals[i], seconds[i], env) for row, i in zip(rows, order, strict=True)}
+    for k in range(most):
+        values = described.get(k, dict.fromkeys(GOAL_NAMES, 0.0))
         named |= {f"goal_{k}_{name}": values[name] for name in (GOAL_NAMES if predicted else GOAL_NAMES[:9])}
     return named
 
@@ -145,7 +148,10 @@ def test_a_sector_without_beams_is_minus_one() -> None:
 
 
 def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time() -> None:
-    """Over whole episodes: row k of the vector is action k, valid just where the mask is."""
+    """Over whole episodes: row k of the vector is action k, valid just where the mask is.
+
+    Known ground has the last rows, and the last one waits.
+    """
     env = gymnasium.make("mecp_env/ActiveHalls-v0", observation="flat", max_steps=400)
     names = mecp_env.flat_names(env)
     columns = {name: [names.index(f"goal_{k}_{name}") for k in range(32)] for name in ("valid", "kind", "near")}
@@ -155,14 +161,16 @@ def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time(
         observation, info = env.reset(seed=seed)
         over = False
         while not over:
-            goals = env.unwrapped.goals
+            goals, actions = env.unwrapped.goals, env.unwrapped.goal_actions
             assert observation[columns["valid"]].astype(np.int8).tolist() == info["action_mask"].tolist()
-            shown = np.rint(observation[columns["kind"]] * 7 - 1)[: len(goals)]
-            assert shown.tolist() == goals.kind[:32].tolist()
-            waiting = np.flatnonzero(goals.kind[:32] == WAIT)
+            assert sorted(actions) == np.flatnonzero(info["action_mask"]).tolist()
+            assert np.rint(observation[columns["kind"]] * 7 - 1)[actions].tolist() == goals.kind.tolist()
+            assert [env.unwrapped.goal_at(action) for action in actions] == list(range(len(goals)))
+            assert goals.kind[actions == 31].tolist() == [WAIT]
             wait_s = env.unwrapped.config.planning.known_ground.wait_steps * 0.4
-            assert observation[columns["near"]][waiting] == pytest.approx(10 / (10 + wait_s))
+            assert observation[columns["near"][31]] == pytest.approx(10 / (10 + wait_s))
             exploring = int((goals.kind < 4).sum())  # they come first, those with most new floor per path before others
+            assert actions[:exploring].tolist() == list(range(exploring))
             assert (goals.kind[:exploring] < 4).all()
             grid = env.unwrapped.slam_output.grid
             place = grid.label, grid.origin, grid.resolution_m
@@ -176,6 +184,23 @@ def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time(
             over = terminated or truncated
     assert WAIT in kinds
     assert len(kinds) > 2
+
+
+def test_the_best_place_is_the_last_before_waiting() -> None:
+    """Drawn 4 m ahead: sigma on arrival, and 2 % of that of the present pose per metre of the way."""
+    here = {"x": 0.0, "y": 0.0, "size_m": 1.0, "room": 0}
+    worse, near, far, wait = (
+        Goal(PLACE, **here, path_m=1.0, sigma_m=0.3, sigma_rad=0.1),
+        Goal(PLACE, **here, path_m=5.0, sigma_m=0.1, sigma_rad=0.02),
+        Goal(PLACE, **here, path_m=40.0, sigma_m=0.1, sigma_rad=0.02),
+        Goal(WAIT, **here),
+    )
+    goals = Goals.of([Goal(FRONTIER, **here), Goal(OPEN, **here), far, near, worse, wait])
+    sharp, wide = np.diag([0.01, 0.01, 0.0001]), np.diag([0.5, 0.5, 0.04])
+    assert best_place_last(goals, sharp).path_m[2:].tolist() == [1.0, 40.0, 5.0, 0.0]
+    assert best_place_last(goals, wide).path_m[2:].tolist() == [40.0, 1.0, 5.0, 0.0]
+    assert best_place_last(goals, sharp).kind.tolist() == [FRONTIER, OPEN, PLACE, PLACE, PLACE, WAIT]
+    assert len(best_place_last(Goals(), wide)) == 0
 
 
 def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
