@@ -59,9 +59,11 @@ class Claim:
     beside: tuple[str, ...] = ()  # other figures that belong to it
 
     def holds(self, figures: Figures) -> str:
-        """yes, no or open."""
-        found = flatten(figures)[self.figure]
+        """yes, no or open; open also where nothing was measured."""
+        found = flatten(figures).get(self.figure)
         low, high = (found["low"], found["high"]) if isinstance(found, dict) else (found, found)
+        if low is None or high is None:
+            return "open"
         sides = (low >= self.bound, high < self.bound) if self.above else (high <= self.bound, low > self.bound)
         return "yes" if sides[0] else "no" if sides[1] else "open"
 
@@ -226,12 +228,11 @@ def report(figures: Figures) -> str:
     """One table of the claims, and one of all figures."""
     flat, rows = flatten(figures), []
     for claim in CLAIMS:
-        beside = [f"{name.partition('/')[2]}: {readable(flat[name])}" for name in claim.beside]
+        beside = [f"{name.partition('/')[2]}: {readable(flat.get(name, '-'))}" for name in claim.beside]
         bound = f"{'>=' if claim.above else '<='} {claim.bound:g}"
         sentence = f'"{claim.sentence}" ({claim.section})'
-        rows.append(
-            [sentence, claim.experiment, flat[claim.figure], bound, f"**{claim.holds(figures)}**", "; ".join(beside)]
-        )
+        found, holds = flat.get(claim.figure, "-"), f"**{claim.holds(figures)}**"
+        rows.append([sentence, claim.experiment, found, bound, holds, "; ".join(beside)])
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
     every = table(["figure", "value [95 % interval]"], flat.items())
     return f"{table(header, rows)}\n\n## All figures\n\n{every}"

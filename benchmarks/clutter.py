@@ -15,7 +15,9 @@ end, or has diverged. `associate_ms` are milliseconds of association per scan, t
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from functools import partial
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -161,13 +163,18 @@ def report(figures: Figures) -> str:
     """Per layout a table of each metric, with a row per associator and a column per cell."""
     parts = {}
     for layout, cells in figures.items():
-        methods, tables = next(iter(cells.values())), []
+        methods, tables = list(dict.fromkeys(chain.from_iterable(cells.values()))), []
+        columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
         for metric in METRICS:
-            rows = [[name, *(cells[cell][name][metric] for cell in cells)] for name in methods]
-            columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
+            rows = [[name, *(of.get(name, {}).get(metric, "-") for of in cells.values())] for name in methods]
             tables.append(table([f"`{metric}`: detection, spurious", *columns], rows))
-        parts[f"{layout} ({methods['mecp']['rmse_m']['n']} drives)"] = "\n\n".join(tables)
+        parts[f"{layout} ({_drives(cells)} drives)"] = "\n\n".join(tables)
     return sections(parts)
+
+
+def _drives(cells: Figures) -> int:
+    """The most drives of a cell."""
+    return max((row["rmse_m"]["n"] for of in cells.values() for row in of.values()), default=0)
 
 
 def figure(figures: Figures) -> Figure:
@@ -178,10 +185,9 @@ def figure(figures: Figures) -> Figure:
     grid = drawn.subplots(len(DRAWN), len(columns), sharey="row", squeeze=False)
     for row, (metric, label) in zip(grid, DRAWN.items(), strict=True):
         for axes, (layout, x) in zip(row, columns, strict=True):
-            cells = [figures[layout][named(*cell)] for cell in axes_of[x]]
-            shown = {name: [drawable(cell[name], metric) for cell in cells] for name in cells[0]}
-            lines = {name: line for name, line in shown.items() if name not in TABLE_ONLY}
-            draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in axes_of[x]], lines))
+            measured = {cell: figures[layout][named(*cell)] for cell in axes_of[x] if named(*cell) in figures[layout]}
+            lines = lines_of(measured.values(), metric)
+            draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in measured], lines))
             axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "rmse_m" else "")
             if any(estimate["value"] for line in lines.values() for estimate in line):
                 axes.set_yscale("log")
@@ -189,6 +195,12 @@ def figure(figures: Figures) -> Figure:
     handles = grid[0][0].get_legend_handles_labels()
     drawn.legend(*handles, loc="outside lower center", ncols=2 * len(columns) - 1, frameon=False, fontsize=8)
     return drawn
+
+
+def lines_of(cells: Collection[Figures], metric: str) -> dict[str, list[Figures]]:
+    """What is drawn of each associator that all cells have."""
+    names = [name for name in next(iter(cells), {}) if name not in TABLE_ONLY]
+    return {name: [drawable(of[name], metric) for of in cells] for name in names if all(name in of for of in cells)}
 
 
 def drawable(row: Figures, metric: str) -> Figures:

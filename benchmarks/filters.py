@@ -6,14 +6,15 @@ mean of 60 runs is 2.41-3.65.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from itertools import chain
 
 import numpy as np
 
 from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
-from benchmarks.tables import table
+from benchmarks.tables import table_of
 from mecp_env.core.carriers import Array
 from mecp_env.core.intervals import estimate
 from mecp_env.core.sensors import Odometry
@@ -100,17 +101,21 @@ def sensor_cov(count: int) -> Array:
 
 
 def report(figures: Figures) -> str:
-    """Tables of the times and of the consistency."""
-    first = figures["time_us"]["riekf"]["25"]
-    times = [
-        [f"{kind}, {count}", *(f"{us:.1f}" for us in of.values())]
-        for kind, sizes in figures["time_us"].items()
-        for count, of in sizes.items()
-    ]
-    columns = list(figures["nees"]["per_metre"]["riekf"])
-    nees = [
-        [f"{reading}, {kind}", *(f"{row[c]['value']:.2f}" for c in columns)]
+    """Tables of the times and of the consistency, of what was measured."""
+    times = {f"{kind}, {count}": us for kind, sizes in figures["time_us"].items() for count, us in sizes.items()}
+    nees = {
+        f"{reading}, {kind}": {name: estimated["value"] for name, estimated in row.items()}
         for reading, kinds in figures["nees"].items()
         for kind, row in kinds.items()
-    ]
-    return f"{table(['us, landmarks', *first], times)}\n\n{table(['NEES (3 expected)', *columns], nees)}"
+    }
+    return f"{_rounded('us, landmarks', times, 1)}\n\n{_rounded('NEES (3 expected)', nees, 2)}"
+
+
+def _rounded(head: str, rows: Mapping[str, Mapping[str, float | None]], digits: int) -> str:
+    """A table of numbers with so many digits behind the point; what a row lacks is a dash."""
+    columns = list(dict.fromkeys(chain.from_iterable(rows.values())))
+    texts = {
+        name: {column: f"{value:.{digits}f}" for column, value in row.items() if value is not None}
+        for name, row in rows.items()
+    }
+    return table_of(head, columns, texts)

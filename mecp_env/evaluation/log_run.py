@@ -51,6 +51,8 @@ def fault_of(run: LogRun, config: LogRunConfig) -> str | None:
 
 def _few(run: LogRun, config: LogRunConfig) -> str | None:
     """Where fewer than a tenth of the scans are used."""
+    if len(run.log) == 1:
+        return "only one scan can be used, no motion is between scans: a map takes a drive"
     counts = run.counts
     found = run.log.found + sum(counts.get(name, 0) for name in DAMAGED)
     standard = LogRunConfig()

@@ -173,7 +173,7 @@ def _sheet(path: Path) -> Sheet:
     """The checked fields of a yaml file."""
     data = read_bytes(path, MAX_YAML_BYTES)
     try:
-        fields = yaml.load(text_of(data), OnceLoader)
+        fields = yaml.load(text_of(data).replace("\t", " "), OnceLoader)  # PyYAML refuses tabs
     except LayoutError:
         raise
     except (yaml.YAMLError, ValueError, RecursionError) as error:

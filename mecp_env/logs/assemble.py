@@ -14,18 +14,18 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between, chained, composed, interpolated
-from mecp_env.logs.clock import Clock, ascending_rows, listed, set_stamps
+from mecp_env.logs.clock import FASTEST_M_S, Clock, ascending_rows, carried, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
 from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean
 
 FARTHEST_M = 1e8  # no pose is farther: world coordinates have millions of m
 GAP = 5.0  # medians between two scans
-FASTEST_M_S = 5.0  # a faster motion is a jump of the odometry, not one of the robot,
-SLACK_M = 0.5  # if it is longer than this;
+SLACK_M = 0.5  # a motion that is longer, and faster than a robot, is a jump of the odometry;
 JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
-FEW_SHARE = 0.1  # of the scans have odometry, at least; else the clocks may differ
+FEW_SHARE = 0.5  # of the scans have odometry, at least; else the clocks may differ
+BLIND_SHARE = 0.8  # of the readings measure nothing: more may have a wrong limit
 STEP_M, STEPS = 0.1, 20  # driven, from whose direction the meaning of headings is seen, so often at least
 LONGEST_M = 1e5  # of the path that is looked at
 AGREE = 0.95  # a resultant of so much between headings and directions says that they belong together,
@@ -68,6 +68,7 @@ def assemble(
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
+    _note_blind(recording, readings)
     counts["gaps in time"] += _gaps(t[kept])
     ranges = readings.ranges if kept.all() else readings.ranges[kept]
     return Log(
@@ -115,22 +116,27 @@ def _check_clocks(recording: Recording, t: Array, odometry: Track, kept: Bools) 
     recording.notes.append(spans)
 
 
+def _note_blind(recording: Recording, readings: Readings) -> None:
+    """Note where nearly no reading measures anything: limits that the log states may be wrong."""
+    blind = 1.0 - float(np.isfinite(readings.ranges).mean())
+    if blind > BLIND_SHARE and not recording.mounts:
+        least = recording.sweeps[0].geometry.min_range_m
+        recording.notes.append(
+            f"warning: {blind:.0%} of the readings measure nothing from {least:g} to {readings.limit_m:g} m: "
+            "--max-range-m gives another limit than the log"
+        )
+
+
 def _leave_out_still(recording: Recording) -> None:
     """Leave out poses of the sweeps that are all the same, where those between them move."""
-    if recording.odometry.moves and not _carried(recording.sweeps).moves:
+    if recording.odometry.moves and not carried(recording.sweeps).moves:
         recording.sweeps = [replace(sweep, T_odom_robot=None, T_odom_laser=None) for sweep in recording.sweeps]
-
-
-def _carried(sweeps: list[Sweep]) -> Track:
-    """The poses of the sweeps that carry one."""
-    carried = [(sweep.t, sweep.T_odom_robot) for sweep in sweeps if sweep.T_odom_robot is not None]
-    return Track([t for t, _ in carried], [pose for _, pose in carried])
 
 
 def _odometry(recording: Recording, sweeps: list[Sweep]) -> Track:
     """The poses that the sweeps carry, or those between them."""
-    carried = _carried(sweeps)
-    return carried if len(carried.t) == len(sweeps) else recording.odometry
+    poses = carried(sweeps)
+    return poses if len(poses.t) == len(sweeps) else recording.odometry
 
 
 def _in_radians(track: Track, notes: list[str]) -> Track:

@@ -15,6 +15,7 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
+from mecp_env.logs.bag2_parts import unpacked_message
 from mecp_env.logs.bag_chunks import check_chunks
 from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.clock import note_delay
@@ -24,12 +25,17 @@ from mecp_env.logs.readings import POSE_BYTES, Budget, Geometry, Recording, Swee
 SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
 NO_ODOMETRY = f"no odometry: no message of type {ODOMETRY} that can be read, and no frame that moves in odom; "
+TILTED = (
+    "warning: by most quaternions of the odometry the robot lies on its side: they are x, y, z, w, perhaps w is first "
+    "here; --odometry none does without"
+)
 LIKE = {SCAN: (SCAN, ECHOES)}  # types that are read as another one
 FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FRAME_TOPICS = ("/tf", "/tf_static")
 REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
 SUFFIXES = (".bag", ".db3", ".mcap")
 MOST_LASERS = 8
+UPRIGHT = math.cos(math.radians(45.0))  # a robot that is tilted more falls over
 LEVEL = math.cos(math.radians(5.0))  # a laser that is tilted more does not measure level
 Choice = Sequence[str]
 Taker = Callable[[Any, float], None]
@@ -43,6 +49,7 @@ class BagLog:
     frames: Frames
     robot_frame: str = ""
     speeds: Track = field(default_factory=Track)  # m/s, m/s, rad/s of the messages with odometry
+    tilted: int = 0  # messages with odometry of a robot that is not upright
     lasers: list[str] = field(default_factory=list)  # their frames, in the order of `Sweep.laser`
 
     @property
@@ -53,10 +60,13 @@ class BagLog:
     def scan(self, message: Any, received: float) -> None:
         """A sweep. Raises `ValueError` for a damaged one."""
         ranges = _ranges(message)
+        if not len(ranges):
+            self.recording.counts["scans without ranges"] += 1
+            return
         least, most = float(message.range_min), float(message.range_max)
         least = least if math.isfinite(least) else 0.0
         view = float(message.angle_min), _step(message)
-        if not (0 < len(ranges) <= MOST_BEAMS and all(map(math.isfinite, view))):
+        if not (len(ranges) <= MOST_BEAMS and all(map(math.isfinite, view))):
             raise ValueError
         geometry = Geometry(len(ranges), *view, least, most if most > least else math.inf)
         laser = self._laser(_name(message.header.frame_id))
@@ -81,6 +91,7 @@ class BagLog:
         """A pose of the robot by its wheels."""
         T = transform(message.pose.pose.position, message.pose.pose.orientation)
         self.robot_frame = self.robot_frame or _name(message.child_frame_id)
+        self.tilted += T[2, 2] < UPRIGHT
         self.recording.budget.take(2 * POSE_BYTES)
         stamp, twist = _stamp(message.header, received), message.twist.twist
         self.recording.odometry.add(stamp, planar(T), received)
@@ -182,7 +193,8 @@ def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
     """All messages of the chosen topics."""
     for connection, received, data in bag.messages([c for c in bag.connections if c.topic in takers]):
         try:
-            takers[connection.topic](bag.deserialize(data, connection.msgtype), 1e-9 * received)
+            message = bag.deserialize(unpacked_message(data), connection.msgtype)
+            takers[connection.topic](message, 1e-9 * received)
         except LogError:
             raise
         except Exception as error:  # damaged bytes may raise anything
@@ -218,8 +230,10 @@ def _name(frame: Any) -> str:
 
 
 def _step(message: Any) -> float:
-    """rad between two beams; by the last one, for a driver that sets none."""
-    return float(message.angle_increment) or (message.angle_max - message.angle_min) / max(len(message.ranges) - 1, 1)
+    """rad between two beams; by the last one, for a driver that sets none, or one of the wrong sign."""
+    step, span = float(message.angle_increment), float(message.angle_max - message.angle_min)
+    steps = max(len(message.ranges) - 1, 1)
+    return -step if abs(span + steps * step) < 2.0 * abs(step) else step or span / steps
 
 
 def _stamp(header: Any, received: float) -> float:
@@ -244,6 +258,8 @@ def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
     """Odometry from the frames, where no message has it; a note of where it was looked for."""
     recording = log.recording
     edge = log.frames.odometry(log.used)
+    if 2 * log.tilted > len(recording.odometry.t):
+        recording.notes.append(TILTED)
     if recording.odometry.moves:
         return
     if np.any(log.speeds.poses):

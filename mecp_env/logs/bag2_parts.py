@@ -38,6 +38,12 @@ def unpacker_of(packing: str) -> Any:
     return zstd.ZstdDecompressor()
 
 
+def unpacked_message(data: bytes) -> bytes:
+    """The data of a message, which are packed where a part is read without the description of its bag."""
+    unpacked: bytes = unpacker_of("zstd").decompress(data) if bytes(data[:4]) == ZSTD else data
+    return unpacked
+
+
 def packed_parts(path: Path, most: int) -> Iterator[Part]:
     """The packed parts of all files of a bag. Raises `TooMuch` for a packed file of more than `most` bytes."""
     for file in [path] if path.is_file() else sorted(path.iterdir()):

@@ -152,6 +152,7 @@ READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
 def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float | None = None) -> Recording:
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
+    data = data if b"\n" in data else data.replace(b"\r", b"\n")
     recording = Recording(path.name, budget=Budget.of(len(data)))
     log = CarmenLog(recording, field_of_view_deg)
     for number, is_cut, words in _lines(data, data.startswith(MAGIC), log.counts):

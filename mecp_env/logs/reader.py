@@ -11,17 +11,19 @@ from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.files import exists
 from mecp_env.core.settings import Settings
 from mecp_env.logs.assemble import assemble
-from mecp_env.logs.bag import is_bag, read_bag
-from mecp_env.logs.carmen import PACKED, read_carmen
+from mecp_env.logs.bag import SUFFIXES, is_bag, read_bag
+from mecp_env.logs.carmen import MAGIC, PACKED, READERS, read_carmen
+from mecp_env.logs.cells import rows_of
 from mecp_env.logs.clock import Clock
 from mecp_env.logs.log import Log, read_archive
 from mecp_env.logs.readings import Recording, Track
-from mecp_env.logs.tables import TABLES, read_table
+from mecp_env.logs.tables import TABLES, has_names, header_of, read_table
 
 CARMEN = (".log", ".clf", ".carmen")
+TEXTS = (*CARMEN, *TABLES)
 FORMATS = (
-    f"{', '.join(CARMEN)} (CARMEN), .csv, .tsv, .dat (BreezySLAM), these also packed as {PACKED}, .npz, .bag, .db3, "
-    ".mcap or the folder of a bag"
+    f"{', '.join(CARMEN)} (CARMEN), .csv, .tsv, .txt, .dat (BreezySLAM), these also packed as {PACKED}, .npz, .bag, "
+    ".db3, .mcap or the folder of a bag"
 )
 FOREIGN = {  # how files begin that are no logs as they are
     b"version https://git-lfs": "a pointer of Git LFS: `git lfs pull` fetches the file",
@@ -34,6 +36,12 @@ FOREIGN = {  # how files begin that are no logs as they are
     b"bzh": "packed by bzip2: unpack it first",
     b"\x28\xb5\x2f\xfd": "packed by zstd: unpack it first",
 }
+BINARY = {  # the first bytes of binary logs, which must have the name of their format
+    b"#ROSBAG V2.0": "a bag of ROS 1 (.bag)",
+    b"\x89MCAP0": "a bag of ROS 2 (.mcap)",
+    b"SQLite format 3": "a database, perhaps a bag of ROS 2 (.db3)",
+}
+START = 2**14  # bytes of a text that tell what it is
 
 
 class ReadOptions(Settings):
@@ -84,7 +92,7 @@ def _recording(path: Path, options: ReadOptions) -> Recording:
     if is_bag(path):
         asked = (options.odometry_topic,) if options.odometry_topic else ()
         return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
-    if suffix in CARMEN:
+    if _is_carmen(path, suffix):
         _check_options(options, "scan_frame", "odometry_topic")
         return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
     _check_options(options, "scan_topic", "scan_frame", "odometry_topic")
@@ -95,24 +103,59 @@ def _check_file(path: Path, suffix: str) -> None:
     """Raise `LogError` for what is no log by its name or by its first bytes."""
     if not exists(path):
         raise LogError("no such file")
-    if path.is_file() and suffix != ".npz":
-        _check_start(path)
+    if path.is_file() and not path.stat().st_size:
+        raise LogError("an empty file")
+    if path.is_file():
+        _check_start(path, suffix)
     if is_bag(path):
         return
     if path.is_dir():
         raise LogError("a folder without a bag; name a file")
-    if suffix not in (".npz", *TABLES, *CARMEN):
+    _check_name(path, suffix)
+
+
+def _check_name(path: Path, suffix: str) -> None:
+    """Raise `LogError` for the name of a file that is not read so."""
+    if suffix in SUFFIXES:
+        raise LogError(f"a bag is read as it is, with {suffix} behind its name: unpack or rename it")
+    if suffix not in (".npz", *TEXTS):
         raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
 
 
-def _check_start(path: Path) -> None:
+def _check_start(path: Path, suffix: str) -> None:
     """Raise `LogError` for a file that begins as another format."""
-    start = b""
-    with suppress(OSError), path.open("rb") as file:  # its reader says what is wrong
-        start = file.read(32).lstrip().lower()
-    for mark, what in FOREIGN.items():
-        if start.startswith(mark):
-            raise LogError(f"not a log as it is, but {what}")
+    start = _start(path)
+    foreign = _named(FOREIGN, start.lstrip().lower())
+    if foreign and suffix != ".npz":
+        raise LogError(f"not a log as it is, but {foreign}")
+    binary = _named(BINARY, start)
+    if binary and suffix not in binary:
+        raise LogError(f"not what its name says, but {binary}: rename it")
+    if suffix in TEXTS and b"\0" in start and not start.startswith(MAGIC):
+        raise LogError("no text as its name says, or text in UTF-16: save it as UTF-8")
+
+
+def _named(marks: dict[bytes, str], start: bytes) -> str:
+    """What a file is that starts so; empty where no mark fits."""
+    return next((what for mark, what in marks.items() if start.startswith(mark)), "")
+
+
+def _start(path: Path) -> bytes:
+    """The first bytes of a file; none where it cannot be read: its reader says what is wrong."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(START)
+    return b""
+
+
+def _is_carmen(path: Path, suffix: str) -> bool:
+    """True where a text is a CARMEN log by its first lines, or by its name unless those are names of columns."""
+    start = _start(path)
+    if suffix not in TEXTS or start.startswith(MAGIC):
+        return suffix in CARMEN
+    words = [line.split(maxsplit=2)[:2] for line in start.decode("utf-8-sig", "replace").splitlines()]
+    if any(len(line) > 1 and line[0] in READERS for line in words):
+        return True
+    return suffix in CARMEN and not has_names(header_of(list(rows_of(start, comments=True))))
 
 
 def _check_options(options: ReadOptions, *of_bags: str) -> None:

@@ -103,3 +103,9 @@ def test_few_scans_but_for_those_left_out_on_request(run: LogRun) -> None:
     resting = replace(run, log=replace(run.log, found=1000), counts={"scans at rest, skipped": 940})
     assert "--odometry none" in str(fault_of(resting, LogRunConfig()))
     assert fault_of(resting, LogRunConfig(rest_m=0.5)) is None
+
+
+def test_a_log_of_one_scan_is_no_success(tmp_path: Path) -> None:
+    t, poses, ranges = drive(1)
+    log = log_of(tmp_path, t=t, ranges=ranges, odo=poses, ref=None, rel=None)
+    assert "only one scan" in str(fault_of(run_log(log), LogRunConfig()))

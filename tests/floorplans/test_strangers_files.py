@@ -173,3 +173,11 @@ def test_pixels_that_are_more_opaque_than_not_count(tmp_path: Path) -> None:
         else:
             with pytest.raises(LayoutError):
                 load_plan(path, resolution_m=plans.RESOLUTION_M, free_above=210)
+
+
+@pytest.mark.parametrize(("old", "new"), [(": ", ":\t"), ("\n", "\r\n"), ("- ", "\t- ")])
+def test_tabs_and_line_ends_in_a_yaml(old: str, new: str, tmp_path: Path) -> None:
+    path = pair(tmp_path)
+    expected, text = load_plan(path), path.read_text()
+    path.write_bytes(text.replace(old, new).encode())
+    assert len(load_plan(path).rooms) == len(expected.rooms)

@@ -97,6 +97,8 @@ def write_archive(path: Path, scans: int = 12, **more: object) -> Path:
 class BagWriter:
     """Collects messages with their times of receipt; `close` writes them as a bag of ROS 1 (`.bag`) or ROS 2."""
 
+    packing: Any = None  # of a ROS 2 bag: which parts are packed
+
     def __init__(self, path: Path) -> None:
         from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -158,7 +160,7 @@ class BagWriter:
         """The path of what is written, with topics (and their types) that have no messages."""
         pack = self.store.serialize_ros1 if self.ros1 else self.store.serialize_cdr
         folder = self.path.with_suffix("") if self.path.suffix in (".db3", ".mcap") else self.path
-        with writer_of(self.path, folder) as writer:
+        with writer_of(self.path, folder, self.packing) as writer:
             ends = {topic: writer.add_connection(topic, kind, typestore=self.store) for topic, kind in empty}
             for received, topic, kind, message in sorted(self.messages, key=lambda one: one[0]):
                 if topic not in ends:
@@ -167,13 +169,16 @@ class BagWriter:
         return next(folder.glob(f"*{self.path.suffix}")) if folder != self.path else folder
 
 
-def writer_of(path: Path, folder: Path) -> Any:
+def writer_of(path: Path, folder: Path, packing: Any) -> Any:
     from rosbags import rosbag1, rosbag2
 
     if path.suffix == ".bag":
         return rosbag1.Writer(path)
     plugin = rosbag2.StoragePlugin.MCAP if path.suffix == ".mcap" else rosbag2.StoragePlugin.SQLITE3
-    return rosbag2.Writer(folder, version=8, storage_plugin=plugin)
+    writer = rosbag2.Writer(folder, version=8, storage_plugin=plugin)
+    if packing is not None:
+        writer.set_compression(packing, rosbag2.CompressionFormat.ZSTD)
+    return writer
 
 
 def bag_of(

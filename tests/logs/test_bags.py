@@ -10,7 +10,19 @@ import pytest
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
-from tests.logs.files import BEARINGS, MOUNT, ODOMETRY, SCAN, SIDE, BagWriter, bag_of, check_path, drive, sweep
+from tests.logs.files import (
+    BEARINGS,
+    MOUNT,
+    ODOMETRY,
+    SCAN,
+    SIDE,
+    BagWriter,
+    bag_of,
+    check_path,
+    drive,
+    sweep,
+    write_bag,
+)
 
 pytest.importorskip("rosbags")
 FRONT, REAR = np.array([0.25, 0.0, 0.0]), np.array([-0.25, 0.0, np.pi])
@@ -210,3 +222,45 @@ def test_the_first_echo_of_each_beam_is_read(tmp_path: Path) -> None:
     log = read_log(bag.close())
     np.testing.assert_allclose(log.ranges[:, 1:], drive()[2][:, 1:], atol=1e-5)
     assert np.isnan(log.ranges[:, 0]).all()
+
+
+@pytest.mark.parametrize("suffix", [".db3", ".mcap"])
+def test_a_part_with_packed_messages_alone(tmp_path: Path, suffix: str) -> None:
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    bag = bag_of(tmp_path / f"a{suffix}")
+    bag.packing = rosbag2.CompressionMode.MESSAGE
+    part = bag.close()
+    check_path(read_log(part))
+    (part.parent / "metadata.yaml").unlink()
+    check_path(read_log(part))
+
+
+def test_an_increment_of_the_wrong_sign_and_scans_without_ranges(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path / "a.bag")
+    for scan in bag.of("/scan"):
+        scan.angle_min, scan.angle_max, scan.ranges = scan.angle_max, scan.angle_min, scan.ranges[::-1].copy()
+    bag.of("/scan")[3].ranges = np.empty(0, np.float32)
+    log = read_log(bag.close())
+    assert log.counts["scans without ranges"] == 1
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-5)
+    np.testing.assert_allclose(log.ranges, np.delete(drive()[2], 3, axis=0), atol=1e-5)
+
+
+def test_quaternions_with_w_first_limits_that_are_wrong_and_a_clock_that_is_set_back_are_named(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path / "a.bag")
+    for message in bag.of("/odom"):
+        q = message.pose.pose.orientation
+        q.x, q.y, q.z, q.w = q.w, q.x, q.y, q.z
+    for scan in bag.of("/scan"):
+        scan.range_max = float(np.quantile(drive()[2], 0.1))
+    bag.of("/scan")[-1].header.stamp.sec -= 2
+    notes = read_log(bag.close()).notes
+    for said in ("perhaps w is first", "of the readings measure nothing", "1 of 12 scans are out of order"):
+        assert any(said in note for note in notes)
+
+
+@pytest.mark.parametrize("name", ["a.bag.gz", "a.BAG"])
+def test_a_bag_that_is_packed_or_has_another_name(tmp_path: Path, name: str) -> None:
+    write_bag(tmp_path / "a.bag").rename(tmp_path / name)
+    with pytest.raises(LogError, match=r"with \.bag behind its name"):
+        read_log(tmp_path / name)

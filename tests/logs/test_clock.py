@@ -63,10 +63,18 @@ def test_archives(tmp_path: Path) -> None:
     np.testing.assert_array_equal(log.t, np.arange(12.0))
 
 
+@pytest.mark.parametrize("start", [0.0, 1.7e9])
 @pytest.mark.parametrize("unit", [1e-3, 1e-6, 1e-9])
-def test_stamps_since_1970_in_other_units(tmp_path: Path, unit: float) -> None:
-    t = 1.7e9 + drive()[0]
+def test_stamps_in_other_units_since_1970_or_the_start(tmp_path: Path, unit: float, start: float) -> None:
+    t = start + drive()[0]
     log = read_log(write_archive(tmp_path / "a.npz", t=t / unit, rel=np.array([[t[0] / unit, t[4] / unit, 1, 0, 0]])))
     np.testing.assert_allclose(log.t, t, atol=1e-5)
     np.testing.assert_allclose(log.relations[0, :2], t[[0, 4]], atol=1e-5)
     assert f"stamps are taken in units of {unit:.0e} s" in log.notes
+
+
+def test_a_scan_each_10_s_is_none_each_10_ms_where_the_robot_would_be_too_fast(tmp_path: Path) -> None:
+    t = 40.0 * drive()[0]
+    log = read_log(write_archive(tmp_path / "a.npz", t=t))
+    np.testing.assert_allclose(log.t, t)
+    assert not log.notes

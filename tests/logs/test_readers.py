@@ -74,7 +74,7 @@ def test_a_packed_file_that_is_cut_short_or_damaged(tmp_path: Path) -> None:
     assert log.counts == {"packed file cut short or damaged": 1}
     for damaged in (b"", gzip.compress(long)[:5], b"no gzip"):
         (tmp_path / "c.log.gz").write_bytes(damaged)
-        with pytest.raises(LogError, match=r"c.log.gz: no"):
+        with pytest.raises(LogError, match=r"c.log.gz: (no|an empty file)"):
             read_log(tmp_path / "c.log.gz")
 
 

@@ -1,0 +1,161 @@
+"""Tables with a row per beam: a bearing and a range, often of any number and spacing; put together as sweeps."""
+
+from __future__ import annotations
+
+import math
+from array import array
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.errors import LogError
+from mecp_env.logs.carmen import MOST_BEAMS
+from mecp_env.logs.cells import Row, number
+from mecp_env.logs.columns import UNITS, Place, parsed
+from mecp_env.logs.readings import FEWEST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
+
+BEARINGS = ("angle", "angule", "bearing", "azimuth", "beam angle", "scan angle", "theta")  # the first of them counts;
+# RoboStudio writes `Angule`
+RANGES = ("range", "distance", "dist", "rho", "r", "d", "depth")
+SCANS = ("scan", "scan id", "scan number", "scan index", "sweep", "sweep id", "revolution", "seq", "frame")
+ROW_BYTES = 32  # of a row, without its pose
+TURN = 2.0 * math.pi
+ABOUT_A_TURN = 1.05 * TURN
+LEAST_SHARE = 0.75  # of the usual number of beams: a sweep with fewer is cut off
+NEAR_STEPS = 1.5  # of the usual spacing, within which a beam stands for the bearing beside it
+CLOSED_STEPS = 3.0  # by which a view may miss a whole turn
+
+
+@dataclass(slots=True, eq=False)
+class Beams:
+    """The rows so far."""
+
+    t: array[float] = field(default_factory=lambda: array("d"))  # s
+    bearing: array[float] = field(default_factory=lambda: array("d"))
+    distance: array[float] = field(default_factory=lambda: array("d"))
+    scan: array[float] = field(default_factory=lambda: array("d"))  # which sweep, where a column says it
+    poses: list[Array] = field(default_factory=list)  # (3,) each, where the rows have one
+
+
+@dataclass(frozen=True, slots=True)
+class BeamColumns:
+    """Which column has what in a table with a row per beam."""
+
+    place: Place
+    bearing: int
+    distance: int
+    scan: int | None
+    unit: str  # of the bearing; empty: the name does not say
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> BeamColumns | None:
+        """Those of columns with these names; None where they are those of another table."""
+        words = [parsed(name).word for name in names]
+        bearing, distance, scan = (_best(words, known) for known in (BEARINGS, RANGES, SCANS))
+        if bearing is None or distance is None:
+            return None
+        place = Place.of(["" if at == bearing else name for at, name in enumerate(names)])
+        if not place.complete:  # x and y of the point
+            place = replace(place, position=(), heading=())
+        return cls(place, bearing, distance, scan, parsed(names[bearing]).unit_name)
+
+    def read(self, rows: Iterable[Row], recording: Recording) -> Beams:
+        """All rows that are not damaged; the others are counted."""
+        beams = Beams()
+        for number_, cells, _ in rows:
+            recording.budget.take(ROW_BYTES + POSE_BYTES * bool(self.place.position))
+            try:
+                self._add(beams, cells)
+            except (ValueError, IndexError):
+                recording.damaged("row", number_, cells)
+        return beams
+
+    def _add(self, beams: Beams, cells: list[str]) -> None:
+        """Take in a row. Raises `ValueError` and `IndexError` for a damaged one."""
+        bearing, distance = number(cells[self.bearing]), number(cells[self.distance])
+        t, pose = self.place.time(cells), self.place.pose(cells)
+        scan = math.nan if self.scan is None else number(cells[self.scan])
+        if not math.isfinite(bearing):
+            raise ValueError
+        values = t, bearing, distance * self.place.units[self.distance], scan
+        for column, value in zip((beams.t, beams.bearing, beams.distance, beams.scan), values, strict=True):
+            column.append(value)
+        beams.poses += [] if pose is None else [pose]
+
+
+def read_beam_rows(rows: Iterable[Row], columns: BeamColumns, recording: Recording) -> None:
+    """The sweeps of a table with a row per beam. Raises `LogError`."""
+    beams = columns.read(rows, recording)
+    if not beams.bearing:
+        return
+    bearing, unit = _in_radians(np.array(beams.bearing), columns.unit)
+    whole, usual = _whole(_ends(beams, bearing), recording)
+    recording.notes.append(f"a row per beam: {len(whole)} scans of about {usual} rows, bearings in {unit}")
+    geometry = _geometry([bearing[part] for part in whole], usual)
+    distance = np.array(beams.distance)
+    for place, part in enumerate(whole):
+        pose = beams.poses[part.start] if beams.poses else None
+        ranges = _on_grid(bearing[part], distance[part], geometry)
+        recording.add(Sweep(beams.t[part.start], ranges, geometry, pose, order=float(place)))
+
+
+def _in_radians(bearing: Array, unit: str) -> tuple[Array, str]:
+    """Bearings (n,) rad, and their unit in the table; where it is not known, those beyond a turn in rad are degrees."""
+    unit = unit or ("degrees" if abs(bearing).max() > ABOUT_A_TURN else "rad")
+    return UNITS[unit] * bearing, unit
+
+
+def _whole(ends: Ints, recording: Recording) -> tuple[list[slice], int]:
+    """The rows of each sweep that is not cut off, and their usual number; `ends` (n+1,). Raises `LogError`."""
+    usual = int(np.median(np.diff(ends)))
+    if not FEWEST_BEAMS <= usual <= MOST_BEAMS:
+        raise LogError(f"a row per beam: {usual} rows per scan, {FEWEST_BEAMS} to {MOST_BEAMS} expected")
+    parts = [slice(*both) for both in pairwise(ends.tolist())]
+    whole = [part for part in parts if part.stop - part.start >= LEAST_SHARE * usual]
+    recording.counts["scans of few rows, left out"] += len(parts) - len(whole)
+    return whole, usual
+
+
+def _best(words: list[str], known: Sequence[str]) -> int | None:
+    """The column with the first of some names that one column has; several are those of a row per sweep."""
+    return next((words.index(word) for word in known if words.count(word) == 1), None)
+
+
+def _ends(beams: Beams, bearing: Array) -> Ints:
+    """(n+1,) the rows at which sweeps begin, and the end.
+
+    They are told by their number, or by their stamps, or by where bearings start again.
+    """
+    for names in (np.array(beams.scan), np.array(beams.t)):
+        begins = np.flatnonzero(np.diff(names) != 0.0) + 1
+        if np.isfinite(names).all() and len(begins) and (len(begins) + 1) * FEWEST_BEAMS <= len(names):
+            return np.concatenate(([0], begins, [len(names)]))
+    steps = np.diff(bearing)
+    turns = np.sign(np.median(steps)) * steps if len(steps) else steps
+    begins = np.flatnonzero(turns < -0.5 * np.ptp(bearing)) + 1
+    return np.concatenate(([0], begins, [len(bearing)]))
+
+
+def _geometry(sweeps: list[Array], beams: int) -> Geometry:
+    """As many beams as a sweep usually has, evenly over what they usually see; over a turn where that is nearly one."""
+    first = float(np.median([sweep.min() for sweep in sweeps]))
+    last = float(np.median([sweep.max() for sweep in sweeps]))
+    step = (last - first) / (beams - 1)
+    if last - first > TURN - CLOSED_STEPS * step:
+        return Geometry(beams, first, TURN / beams)
+    return Geometry(beams, first, step)
+
+
+def _on_grid(bearing: Array, distance: Array, geometry: Geometry) -> Array:
+    """(B,) m of the beams (n,) nearest to each bearing of a geometry; nan where none is near."""
+    order = np.argsort(bearing, kind="stable")
+    bearing, distance = bearing[order], distance[order]
+    ring = np.concatenate((bearing[-1:] - TURN, bearing, bearing[:1] + TURN))
+    around = np.concatenate((distance[-1:], distance, distance[:1]))
+    after = np.searchsorted(ring, geometry.angles).clip(1, len(ring) - 1)
+    nearest = np.where(geometry.angles - ring[after - 1] <= ring[after] - geometry.angles, after - 1, after)
+    near = abs(ring[nearest] - geometry.angles) <= NEAR_STEPS * abs(geometry.step_rad)
+    return np.where(near, around[nearest], math.nan)

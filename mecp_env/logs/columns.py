@@ -1,0 +1,196 @@
+"""Which column of a table has what: stamp, pose, readings, and what the table says of the laser; all by their names."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from mecp_env.core.carriers import Array
+from mecp_env.core.errors import LogError
+from mecp_env.logs.carmen import MOST_BEAMS
+from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
+from mecp_env.logs.readings import Geometry, Sweep
+
+STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds"}
+HEADINGS = {"heading", "theta", "yaw", "th"}
+ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
+QUATERNION = tuple({f"{word} {axis}" for word in ROTATIONS} | {f"q{axis}"} for axis in "xyzw")
+PREFIXES = {"odom", "odometry", "pose", "pos", "position", "robot", "field", "header"}  # words of names without meaning
+WHOLE, NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}  # the two columns of a stamp of ROS
+UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
+UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1.0) | dict.fromkeys(NANOSECONDS, 1e-9)
+LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
+EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
+TURN_DEG, TURN_RAD = 360.0, 6.3
+LEAST_SHARE = 0.5  # of the readings are in a row that is shorter than the names, at least
+
+
+class Parsed(NamedTuple):
+    """What a name says without words such as `odom`, and its unit in m, rad or s."""
+
+    word: str
+    unit: float
+    unit_name: str  # empty where it names none
+
+
+def parsed(name: str) -> Parsed:
+    """What a name says."""
+    words = re.findall("[a-z]+", name.lower())
+    unit = words.pop() if len(words) > 1 and words[-1] in UNITS else ""
+    return Parsed(" ".join(word for word in words if word not in PREFIXES), UNITS.get(unit, 1.0), unit)
+
+
+@dataclass(frozen=True, slots=True)
+class Place:
+    """The columns of stamp and pose."""
+
+    stamp: int | None  # None without stamps
+    nanoseconds: int | None  # beside a stamp in whole seconds
+    position: tuple[int, ...]  # x and y, empty without odometry
+    heading: tuple[int, ...]  # a heading, or the quaternion x, y, z, w; or z, w
+    units: Array  # of all columns: m, rad or s
+
+    @classmethod
+    def of(cls, names: Sequence[str]) -> Place:
+        """Those among columns of these names; odometry is complete, or there is none of it."""
+        words = [parsed(name) for name in names]
+        stamp = _first(words, STAMPS)
+        nanoseconds = None
+        if stamp is not None and WHOLE & {words[stamp].word, words[stamp].unit_name}:
+            nanoseconds = next((at for at, one in enumerate(words) if NANOSECONDS & {one.word, one.unit_name}), None)
+        position = tuple(at for axis in "xy" if (at := _first(words, {axis})) is not None)
+        units = np.array([one.unit for one in words])
+        return cls(stamp, nanoseconds, position, _heading(words), units)
+
+    @property
+    def complete(self) -> bool:
+        """True where x, y and heading are all there, or none is."""
+        return len(self.position) == (2 if self.heading else 0)
+
+    @property
+    def used(self) -> set[int]:
+        """All columns."""
+        return {at for at in (self.stamp, self.nanoseconds) if at is not None} | {*self.position, *self.heading}
+
+    def time(self, words: Sequence[str]) -> float:
+        """s of a row; nan without stamps. Raises `ValueError`."""
+        if self.stamp is None:
+            return math.nan
+        t = seconds(words[self.stamp], float(self.units[self.stamp]))
+        return t if self.nanoseconds is None else t + 1e-9 * number(words[self.nanoseconds])
+
+    def pose(self, words: Sequence[str]) -> Array | None:
+        """(3,) m, m, rad of a row; None without odometry. Raises `ValueError`."""
+        if not self.position:
+            return None
+        x, y = (number(words[at]) * self.units[at] for at in self.position)
+        turn = [number(words[at]) * self.units[at] for at in self.heading]
+        return np.array([x, y, turn[0] if len(turn) == 1 else _heading_of(*turn)])
+
+
+def _first(words: Sequence[Parsed], known: set[str]) -> int | None:
+    """The first column whose name is known."""
+    return next((at for at, one in enumerate(words) if one.word in known), None)
+
+
+def _heading(words: Sequence[Parsed]) -> tuple[int, ...]:
+    """The column of the heading, or those of a quaternion."""
+    heading = _first(words, HEADINGS)
+    if heading is not None:
+        return (heading,)
+    axes = [_first(words, axis) for axis in QUATERNION]
+    found = tuple(at for at in axes if at is not None)
+    return found if None not in axes[2:] and len(found) != 3 else ()
+
+
+def _heading_of(*quaternion: float) -> float:
+    """rad of a quaternion x, y, z, w of whatever length, or of z, w; nan for zeros."""
+    x, y, z, w = quaternion if len(quaternion) == 4 else (0.0, 0.0, *quaternion)
+    if not (x or y or z or w):
+        return math.nan
+    return math.atan2(2.0 * (w * z + x * y), w * w + x * x - y * y - z * z)
+
+
+@dataclass(frozen=True, slots=True)
+class Columns:
+    """Which column has what in a table with a row per sweep."""
+
+    names: list[str]
+    place: Place
+    readings: list[int]
+    geometry: Geometry
+
+    def sweep(self, words: list[str], order: int) -> Sweep:
+        """That of a row. Raises `ValueError`."""
+        there = [at for at in self.readings if at < len(words)]
+        if len(words) > len(self.names) or len(there) < LEAST_SHARE * len(self.readings):
+            raise ValueError
+        ranges = np.full(len(self.readings), math.nan)
+        ranges[: len(there)] = np.fromiter((number(words[at]) for at in there), np.float64, len(there))
+        ranges *= self.place.units[self.readings]
+        return Sweep(self.place.time(words), ranges, self.geometry, self.place.pose(words), order=float(order))
+
+
+def columns_of(names: list[str], sample: list[str], view_deg: float | None, notes: list[str]) -> Columns:
+    """Where a table with these names has what; what it says of the laser is taken from the cells of one row of it.
+
+    Notes say what is not read. Raises `LogError`.
+    """
+    names, words = one_each(names, sample), flat(sample)
+    place = Place.of(names)
+    if not place.complete or (place.stamp is None and not place.position):
+        raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
+    readings, said = _readings(names, place.used), _said(names, words)
+    used = {*place.used, *readings, *(at for at, name in enumerate(names) if parsed(name).word in said)}
+    left = [name for at, name in enumerate(names) if at not in used and name]
+    notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
+    return Columns(names, place, readings, _geometry([names[at] for at in readings], view_deg, said, notes))
+
+
+def _said(names: list[str], words: list[str]) -> dict[str, float]:
+    """The columns about the laser with their numbers, rad and m, in a row."""
+    found = dict[str, float]()
+    for name, word in zip(names, words, strict=True) if len(names) == len(words) else ():
+        what, unit, _ = parsed(name)
+        value = numbers([word]) if what in LASER else None
+        if value is not None and np.isfinite(value).all():
+            found[what] = unit * float(value[0])
+    return found
+
+
+def _readings(names: list[str], others: set[int]) -> list[int]:
+    """The columns of readings: what most names begin with. Raises `LogError`."""
+    stem = Counter(map(_stem, names)).most_common(1)[0][0]
+    readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in others]
+    if not 2 <= len(readings) <= MOST_BEAMS:
+        raise LogError(f"first row has {len(readings)} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
+    return readings
+
+
+def _stem(name: str) -> str:
+    """A name without its number; the names of readings have the same."""
+    numbered = re.search(r"\d+\W*$", name)
+    return "" if name and numbers([name]) is not None else name[: numbered.start()] if numbered else f"{name} "
+
+
+def _geometry(names: list[str], view_deg: float | None, said: dict[str, float], notes: list[str]) -> Geometry:
+    """What columns have `said`; else that of bearings, or of beams spread over the field of view."""
+    if {"angle min", "angle increment"} <= said.keys():
+        limits = said.get("range min", 0.0), said.get("range max", math.inf)
+        return Geometry(len(names), said["angle min"], said["angle increment"], *limits)
+    bearings = numbers(names)
+    if bearings is not None and np.isfinite(bearings).all() and np.ptp(bearings) <= TURN_DEG:
+        in_radians = bool(np.ptp(bearings) <= TURN_RAD)  # too narrow for degrees
+        notes += ["names of readings are taken for bearings in rad: all are within a turn"] * in_radians
+        fault = "columns of readings: bearings that are not evenly spaced"
+        return Geometry.even(bearings, fault, unit_rad=1.0 if in_radians else math.radians(1.0))
+    if view_deg is None:
+        raise LogError("names of readings are no bearings in degrees within a turn: --field-of-view-deg is needed")
+    view = math.radians(view_deg)
+    return Geometry(len(names), -0.5 * view, view / (len(names) - 1))
