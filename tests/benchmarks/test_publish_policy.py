@@ -9,7 +9,7 @@ pytest.importorskip("safetensors")
 
 from benchmarks import publish_policy
 from benchmarks.publish_policy import read_run
-from mecp_env.cli.exit_codes import run_command
+from mecp_env.cli.base import run_command
 from mecp_env.learning.encoder import make_network
 from mecp_env.learning.learned import load, save_policy, write_json
 from tests.learning.training import quick
