@@ -30,7 +30,7 @@ from mecp_env.core.snapshot_check import (
     check_shapes,
     examples_of,
 )
-from mecp_env.slam.association.oracle import NoCorrespondences, OracleAssociator
+from mecp_env.slam.association.rivals import NoCorrespondences, OracleAssociator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.filters.mounting import mount
@@ -174,7 +174,7 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
         raise StateError(f"{where}.state: not finite, or too far away")
 
 
-FILE = FileKind("mecp_env map", 8, __version__)
+FILE = FileKind("mecp_env map", 9, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")
