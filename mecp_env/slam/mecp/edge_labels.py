@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints, Record
 from mecp_env.core.jit import compiled
 from mecp_env.slam.messages import EdgeLabel
-
-Record = Any  # a row of `Settings.record`: numbers by name
 
 PASSES, STOPS, SHORT = 1, 0, -1  # what a beam does at an edge
 

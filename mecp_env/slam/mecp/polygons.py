@@ -7,12 +7,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Record, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, visible_edges
-from mecp_env.slam.mecp.edge_labels import EdgeBeams, Record, edge_between, edge_is_cut, write_intervals
+from mecp_env.slam.mecp.edge_labels import EdgeBeams, edge_between, edge_is_cut, write_intervals
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan, Polygon
 
 LAZY_ATTEMPTS = 2
