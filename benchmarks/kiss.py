@@ -60,6 +60,7 @@ class KissAssociator(TableAssociator):
     matcher: Any = field(init=False)
 
     def __post_init__(self) -> None:
+        TableAssociator.__post_init__(self)
         found = library()
         self.matcher = found.KISSMatcher(found.KISSMatcherConfig(voxel_size=VOXEL_M, use_quatro=True))
 

@@ -90,7 +90,7 @@ class Slam(WithModules):
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.buildings import spare_sources  # loaded only here, so that help and errors come at once
         from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures
-        from mecp_env.core import warm_up
+        from mecp_env.core import jit
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
@@ -105,7 +105,7 @@ class Slam(WithModules):
         echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
         print_calibration(calibration)
         planned = len(drive.planned())
-        warm_up.prepare()
+        jit.prepare()
         files = LogFiles(log, planned, rerun_log(self.rerun))
         with files.bar() as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():

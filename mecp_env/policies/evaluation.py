@@ -18,11 +18,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import write_atomic
-from mecp_env.core.intervals import Figures
+from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.comparison import Row, compare, returns_of, rows_of, seeds_of, timing

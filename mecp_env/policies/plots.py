@@ -8,9 +8,8 @@ from typing import Any
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.files import sanitised
-from mecp_env.core.intervals import Figures
+from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures
 from mecp_env.policies.comparison import SHARES_OF_BUDGET
 from mecp_env.render.palette import FAINT, INK, MARKERS, SERIES, unit
 

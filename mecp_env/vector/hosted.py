@@ -23,8 +23,7 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError
 from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 
-from mecp_env.core.processes import Failure, WorkerDied, cores, start_method
-from mecp_env.core.worker_pool import WorkerPool
+from mecp_env.core.processes import Failure, WorkerDied, WorkerPool, cores, start_method
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.vector.checks import check_integer

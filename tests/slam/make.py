@@ -14,9 +14,9 @@ from mecp_env.slam.frontend.beams import RolledScan
 from mecp_env.slam.frontend.line_corners import EndBearing
 from mecp_env.slam.grid.canvas import NOTHING
 from mecp_env.slam.grid.cells import Raster
-from mecp_env.slam.localisation.pose_guard import Agreement, Evidence
+from mecp_env.slam.localisation import Agreement, Evidence
 from mecp_env.slam.localisation.relocalisation import Hypothesis, Located
-from mecp_env.slam.mecp.edge_labels import EdgeBeams
+from mecp_env.slam.mecp.polygons import EdgeBeams
 from mecp_env.slam.messages import (
     FEATURE,
     NO_ID,

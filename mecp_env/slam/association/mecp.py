@@ -26,6 +26,7 @@ from mecp_env.slam.association.gating import (
 )
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import (
+    NO_IDS,
     Belief,
     Corners,
     Decision,
@@ -37,7 +38,6 @@ from mecp_env.slam.messages import (
 )
 from mecp_env.slam.protocols import Filter
 
-NONE = np.empty(0, np.int64)
 OPEN = sys.float_info.max  # a gate that every NIS passes but inf, that of another descriptor
 
 
@@ -215,7 +215,7 @@ class MecpAssociator(GatedAssociator):
         belief: Filter,
     ) -> None:
         """Accept pairings by joint compatibility, those of the polygon that was found first."""
-        fixed = NONE, NONE
+        fixed = NO_IDS, NO_IDS
         if found is not None:
             fixed = found.corners, found.ids
             builder.polygon, builder.map_polygon = found.polygon, found.map_polygon

@@ -15,11 +15,11 @@ from mecp_env.slam.association.gating import GatedAssociator, MatchBuilder, chi2
 from mecp_env.slam.association.rivals import pair_nearest
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import (
+    NO_DOORS,
     Belief,
     CornerKind,
     Corners,
     Decision,
-    Doorways,
     FeatureState,
     MapView,
     Match,
@@ -85,7 +85,6 @@ def _two_vertices(nis: Array, rows: Ints, gate: float) -> int:
 
 
 JAMB = int(CornerKind.JAMB)
-NO_DOORS = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
 
 
 @dataclass(slots=True, eq=False)

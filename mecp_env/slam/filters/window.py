@@ -19,7 +19,7 @@ from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import block_of, factor_lower, quadratic, solve_lower
-from mecp_env.core.se2 import wrap_angle
+from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.filters.models import (
     change_chart,
     innovation,
@@ -34,7 +34,6 @@ from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import Filter, FilterError
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
-FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
 
 
 @compiled
@@ -131,10 +130,8 @@ def procrustes(part: Array, z: Array, invariant: bool, xi: Array) -> None:
     `part` is the mean of pose and landmarks; every landmark stays where it is.
     """
     m = z.shape[0]
-    mx, my, lx, ly = 0.0, 0.0, 0.0, 0.0
-    points = np.empty((m, 2))
+    points, mx, my, lx, ly = polar_to_points(z), 0.0, 0.0, 0.0, 0.0
     for k in range(m):
-        points[k, 0], points[k, 1] = z[k, 0] * math.cos(z[k, 1]), z[k, 0] * math.sin(z[k, 1])
         mx, my = mx + points[k, 0] / m, my + points[k, 1] / m
         lx, ly = lx + part[3 + 2 * k] / m, ly + part[4 + 2 * k] / m
     along, across = 0.0, 0.0
@@ -346,17 +343,17 @@ def slots_of(slot_ids: Ints, ids: Ints) -> Ints:
 
 def as_floats(values: Array) -> Array:
     """An array as the compiled functions take it."""
-    return contiguous(values, FLOAT)
+    return np.ascontiguousarray(values, np.float64)
 
 
 def integers(values: Ints) -> Ints:
     """An array as the compiled functions take it."""
-    return contiguous(values, INT)
+    return np.ascontiguousarray(values, np.int64)
 
 
 def observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
     """The same as the compiled functions take them. Raises `FilterError` for shapes that do not fit."""
-    z, R, ids, n = contiguous(z, FLOAT), contiguous(R, FLOAT), contiguous(ids, INT), len(ids)
+    z, R, ids, n = as_floats(z), as_floats(R), integers(ids), len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
     return z, R, ids
