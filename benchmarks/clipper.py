@@ -8,8 +8,6 @@ of `ccda`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints
@@ -20,9 +18,10 @@ MOST_ASCENTS, MOST_STEPS, MOST_HALVINGS = 100, 200, 40
 SETTLED = 1e-9
 
 
-@dataclass(slots=True, eq=False)
 class ClipperAssociator(CcdaAssociator):
     """The pairs of the densest subgraph, as far as they fit together at one pose."""
+
+    __slots__ = ()
 
     def _selected(self, graph: PairGraph) -> Ints:
         """The densest subgraph."""

@@ -35,7 +35,7 @@ from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
+from mecp_env.slam.rooms import RoomGraphEstimator
 
 DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent
 CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 20), (0.8, 30))

@@ -38,7 +38,7 @@ from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wr
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
-from mecp_env.slam.localisation.pose_guard import PoseGuard
+from mecp_env.slam.localisation import PoseGuard
 from mecp_env.slam.messages import Belief
 
 LAYOUT = "paper"

@@ -30,18 +30,17 @@ from numpy.typing import NDArray
 from benchmarks.common import from_extra
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
-from mecp_env.slam.association import CcdaAssociator, MatchBuilder
+from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.association.cliques import candidate_pairs, jointly_compatible
-from mecp_env.slam.association.gating import one_to_one, pairing_table
+from mecp_env.slam.association.gating import one_to_one
+from mecp_env.slam.association.rivals import TableAssociator
 from mecp_env.slam.messages import (
     Belief,
     Cell,
     Corners,
     Decision,
     MapView,
-    Match,
     MergedScan,
-    Polygon,
     Reason,
     SemanticGrid,
 )
@@ -55,30 +54,23 @@ LEAST_PAIRS = 2  # that show a heading
 
 
 @dataclass(slots=True, eq=False)
-class KissAssociator(CcdaAssociator):
+class KissAssociator(TableAssociator):
     """The pairs that fit at the pose of KISS-Matcher's pruning and solver, as far as they fit together."""
 
     matcher: Any = field(init=False)
 
     def __post_init__(self) -> None:
-        CcdaAssociator.__post_init__(self)
+        TableAssociator.__post_init__(self)
         found = library()
         self.matcher = found.KISSMatcher(found.KISSMatcherConfig(voxel_size=VOXEL_M, use_quatro=True))
 
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision per corner."""
-        builder = MatchBuilder(len(corners))
-        if not (len(view.belief.ids) and len(corners)):
-            return builder.match()
-        table = pairing_table(corners, view, belief, self.config, self.gate)
-        rows, columns = candidate_pairs(table.costs, self.gate, self.config.search_budget)
+    def _pair(self, builder: MatchBuilder, corners: Corners, costs: Array, view: MapView, belief: Filter) -> None:
+        rows, columns = candidate_pairs(costs, self.gate, self.config.search_budget)
         rows, columns = self._fitting(polar_to_points(corners.z), rows, columns, view.belief)
         ids = view.belief.ids[columns]
         iterate = not self.config.is_sharp(view.belief)
         fits = jointly_compatible(corners, rows, ids, belief, self.config, iterate)
-        costs = table.costs[rows, columns]
-        builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], costs[fits])
-        return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
+        builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], costs[rows, columns][fits])
 
     def _fitting(self, p_robot: Array, rows: Ints, columns: Ints, predicted: Belief) -> tuple[Ints, Ints]:
         """Those of the pairs (P,) that are within VOXEL_M at the pose found, (k,) each; no corner or landmark twice."""

@@ -50,7 +50,7 @@ from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.front_end import front_end as features_of
+from mecp_env.slam.frontend import front_end as features_of
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon
 from mecp_env.slam.pipeline import SlamPipeline

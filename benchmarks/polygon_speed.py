@@ -18,8 +18,7 @@ from benchmarks.loop import front_end
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp.cycles import order_by_bearing
-from mecp_env.slam.mecp.edge_labels import EdgeBeams
-from mecp_env.slam.mecp.polygons import best_free_cycles, find_polygons
+from mecp_env.slam.mecp.polygons import EdgeBeams, best_free_cycles, find_polygons
 from mecp_env.slam.messages import Corners, MergedScan
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser

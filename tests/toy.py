@@ -9,7 +9,7 @@ import numpy as np
 
 from mecp_env.core.se2 import compose, to_map, to_robot
 from mecp_env.slam.config import GridConfig
-from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.grid import GridPainter
 from mecp_env.slam.messages import Belief, EdgeLabel, MapPolygon, MergedScan, RoomGraph, Segments, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make

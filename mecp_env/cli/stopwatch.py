@@ -16,10 +16,10 @@ from mecp_env.episode.observations import Observer
 from mecp_env.evaluation.metrics import EpisodeMetrics
 from mecp_env.planning.navigator import Navigator
 from mecp_env.slam.association.mecp import MecpAssociator
-from mecp_env.slam.association.oracle import OracleAssociator
-from mecp_env.slam.association.rivals import MecpPaperAssociator, NearestAssociator
+from mecp_env.slam.association.paper import MecpPaperAssociator
+from mecp_env.slam.association.rivals import NearestAssociator, OracleAssociator
 from mecp_env.slam.filters.core import LandmarkFilter
-from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.grid import GridPainter
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.world.laser import Laser
 from mecp_env.world.simulation import Simulation

@@ -17,6 +17,7 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 Bytes = NDArray[np.uint8]
 Rows = NDArray[np.void]  # structured: numbers by name
+Record = Any  # one of these rows, as compiled functions read it
 
 
 def row_type(fields: Sequence[tuple[Any, ...]]) -> np.dtype[np.void]:

@@ -1,4 +1,7 @@
-"""95 % intervals of means, ratios and shares; nothing is missing without being counted."""
+"""95 % intervals of means, ratios and shares; nothing is missing without being counted.
+
+And the metres over which a curve of coverage is normalised.
+"""
 
 from __future__ import annotations
 
@@ -85,3 +88,11 @@ def share(successes: Iterable[bool]) -> Figures:
     middle = (p + z2 / (2 * n)) / (1 + z2 / n)
     half = NORMAL_95 * math.sqrt(p * (1 - p) / n + z2 / (4 * n * n)) / (1 + z2 / n)
     return {"value": p, "low": max(0.0, middle - half), "high": min(1.0, middle + half), "n": n}
+
+
+BUDGET_M_PER_M2 = 0.5  # metres of an exploration per m2 of floor
+
+
+def budget_m(free_area_m2: float) -> float:
+    """The metres by which a curve is normalised: a function of the building alone, the same for every policy."""
+    return BUDGET_M_PER_M2 * free_area_m2

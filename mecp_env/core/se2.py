@@ -100,6 +100,12 @@ def wrapped(angles: Array) -> Array:
     return turned
 
 
+def as_bearings(angles: Array) -> Array:
+    """Angles (n,) rad in (-pi, pi]."""
+    turned: Array = np.pi - np.mod(np.pi - angles, 2.0 * np.pi)
+    return turned
+
+
 def composed(T_a_b: Array, T_b_c: Array) -> Array:
     """T_a_c (n,3) of T_a_b and T_b_c, each (n,3) or (3,)."""
     x, y, heading = np.moveaxis(T_a_b, -1, 0)

@@ -16,7 +16,7 @@ from pydantic import Field
 
 from mecp_env.core.carriers import Array, Bools, carrier
 from mecp_env.core.errors import SensorError
-from mecp_env.core.se2 import compose, inverse
+from mecp_env.core.se2 import as_bearings, compose, inverse
 from mecp_env.core.settings import Settings
 
 SEEN_NEAR_M = 0.3  # even a weak laser sees what is as near
@@ -144,9 +144,7 @@ class Scan:
             raise SensorError(f"ranges, bearings: shapes {r.shape} and {given.shape}, both (B,) with B >= 1 expected")
         if not (np.isfinite(given).all() and 0.0 < max_range_m < math.inf):
             raise SensorError(f"bearings, max_range_m: finite, and max_range_m = {max_range_m!r:.80} above 0, expected")
-        counter_clockwise = -given if clockwise else given
-        wrapped = math.pi - np.mod(math.pi - counter_clockwise, 2.0 * math.pi)  # (-pi, pi]
-        angles, first = np.unique(wrapped, return_index=True)
+        angles, first = np.unique(as_bearings(-given if clockwise else given), return_index=True)
         hit = np.isfinite(r[first]) & (r[first] > 0.0) & (r[first] < max_range_m)
         return cls(np.where(hit, r[first], max_range_m)[None], angles[None], hit[None], float(max_range_m))
 

@@ -152,15 +152,6 @@ class Decoder:
         self._made[place] = kind(items)
         return self._weigh(self._made[place], items)
 
-    def _tuple(self, content: list[Any]) -> Any:
-        return self._frozen(tuple, content)
-
-    def _set(self, content: list[Any]) -> Any:
-        return self._frozen(set, content)
-
-    def _frozenset(self, content: list[Any]) -> Any:
-        return self._frozen(frozenset, content)
-
     def _dict(self, content: list[Any]) -> Any:
         made: dict[Any, Any] = self._keep({})
         for key, item in content:
@@ -183,9 +174,9 @@ KINDS: Mapping[str, Callable[[Decoder, Any], Any]] = {
     "@array": Decoder._array,
     "@generator": Decoder._generator,
     "@list": Decoder._list,
-    "@tuple": Decoder._tuple,
-    "@set": Decoder._set,
-    "@frozenset": Decoder._frozenset,
+    "@tuple": lambda decoder, content: decoder._frozen(tuple, content),
+    "@set": lambda decoder, content: decoder._frozen(set, content),
+    "@frozenset": lambda decoder, content: decoder._frozen(frozenset, content),
     "@dict": Decoder._dict,
     "@object": Decoder._object,
 }

@@ -194,13 +194,10 @@ class FieldCheck:
         if id(value) in self._seen:
             return
         self._seen.add(id(value))
-        if isinstance(value, dict):
-            value = [*value.keys(), *value.values()]
-        if isinstance(value, list | tuple | set | frozenset):
-            for item in value:
-                self._look_inside(item, where)
-        elif is_object(value):
+        if is_object(value):
             self._check_object(value, where)
+        for item in contents_of(value):
+            self._look_inside(item, where)
 
     def _check_object(self, value: Any, where: str) -> None:
         declared, given = self._declared(type(value), where), fields_of(value)

@@ -28,19 +28,30 @@ from pydantic import TypeAdapter
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import write_atomic
-from mecp_env.core.processes import FailedUnit, Failure, Worker, WorkerDied
+from mecp_env.core.processes import Failure, Worker, WorkerDied
 from mecp_env.core.provenance import checksum, checksums, dependencies, import_modules, imported_modules
 
 ADDRESS = re.compile(r"([\w.-]{1,253}):(\d{1,5})", re.ASCII)
 CONNECT_S = 5.0  # until a machine that does not answer has no cluster
 ONE_TRY = "RAY_NUM_REDIS_GET_RETRIES", "1"  # of 40 s each to reach the head, for a cluster that runs already
-__all__ = ["FailedUnit"]  # of mecp_env.core.processes
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
 STOP_POLL_S = 0.2  # how often `stop` is called
 FORMAT, VERSION = "mecp_env result", 1
 NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
+
+
+@dataclass(frozen=True, slots=True)
+class FailedUnit:
+    """A unit of work without a result, and the reason."""
+
+    unit: Any
+    reason: str
+    error: Exception  # `WorkerDied` when its process ended
+
+    def __str__(self) -> str:
+        return f"{self.unit}: {self.reason}"
 
 
 def run_on_cluster(

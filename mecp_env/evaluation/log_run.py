@@ -28,7 +28,8 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import NO_ID
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.smoothing import FinalMap, SmoothingError, Trace
+from mecp_env.slam.smoothing import FinalMap, Trace
+from mecp_env.slam.smoothing.optimum import SmoothingError
 from mecp_env.world.config import OdometryConfig
 
 FEW_SHARE = 0.1  # of the scans of a file are used, at least

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.budget import budget_m
 from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.intervals import budget_m
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import (

@@ -15,8 +15,8 @@ from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
 
 import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.core.budget import budget_m
 from mecp_env.core.errors import LayoutError
+from mecp_env.core.intervals import budget_m
 from mecp_env.core.processes import cores
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig

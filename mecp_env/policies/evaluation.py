@@ -19,11 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import write_atomic
-from mecp_env.core.intervals import Figures, correlation, estimate, over_runs, ratio, share
+from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures, correlation, estimate, over_runs, ratio, share
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.registry import Policy, policy_checksum, source_of

@@ -9,10 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mecp_env.core.budget import BUDGET_M_PER_M2
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.files import sanitised
-from mecp_env.core.intervals import Figures
+from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures
 from mecp_env.policies.evaluation import SHARES_OF_BUDGET
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import Info, make_rooms, run_policy

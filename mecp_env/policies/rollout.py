@@ -12,9 +12,9 @@ import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import EnvConfig
-from mecp_env.core.budget import budget_m
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.intervals import budget_m
 from mecp_env.core.settings import shown
 from mecp_env.episode.observations import COV_MAX
 from mecp_env.policies.registry import Policy, calls_of, ended, make_policy

@@ -25,6 +25,7 @@ from mecp_env.core.linalg import inflate, pick_measurements
 UNKNOWN_ROOM = -1
 HERE = -2  # the room of what is not seen through a door
 NO_ID = -1
+NO_IDS = np.empty(0, np.int64)
 
 
 class ClusterKind(IntEnum):
@@ -146,6 +147,9 @@ class Doorways:
     jambs: Ints  # (g,2) corner indices: jambs[:,0] at the smaller bearing (seen from the robot, on the right)
     width: Array  # (g,) m
     confirmable: Bools  # (g,) seen near and steeply enough to count as a sighting
+
+
+NO_DOORS = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
 
 
 @carrier

@@ -15,15 +15,15 @@ from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.filters.mounting import mount, robot_belief, robot_joint
 from mecp_env.slam.filters.window import Divergence
-from mecp_env.slam.grid.painter import GridPainter
+from mecp_env.slam.grid import GridPainter
+from mecp_env.slam.landmark_map import LandmarkMap
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
-from mecp_env.slam.landmark_map.landmark_map import LandmarkMap
-from mecp_env.slam.localisation.pose_guard import PoseGuard
+from mecp_env.slam.localisation import PoseGuard
 from mecp_env.slam.map_file import MapStart, SlamMap, begin
 from mecp_env.slam.messages import ScanFeatures
-from mecp_env.slam.panorama.recent_scans import RecentScans
+from mecp_env.slam.panorama import RecentScans
+from mecp_env.slam.rooms import RoomGraphEstimator
 from mecp_env.slam.rooms.doors import RoomLimits
-from mecp_env.slam.rooms.room_graph import RoomGraphEstimator
 
 
 @dataclass(slots=True, eq=False, init=False)

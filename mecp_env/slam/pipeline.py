@@ -6,9 +6,9 @@ from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association import ignored
 from mecp_env.slam.checks import check_match, check_odometry, check_scan
 from mecp_env.slam.filters.mounting import predict_mounted, robot_belief
-from mecp_env.slam.frontend.front_end import front_end
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.grid.key_scans import seen_floor
-from mecp_env.slam.localisation.pose_guard import Evidence
+from mecp_env.slam.localisation import Evidence
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting
 from mecp_env.slam.output import SlamOutput

@@ -5,6 +5,7 @@ A filter takes and gives world coordinates and stable ids; how it stores them is
 
 from __future__ import annotations
 
+from abc import abstractmethod
 from typing import ClassVar, Protocol, Self
 
 from mecp_env.core.carriers import Array, Ints
@@ -42,12 +43,15 @@ class Filter(Protocol):
     def has(self, landmark: int) -> bool:
         """True when the filter holds a landmark with this id."""
 
+    @abstractmethod
     def predict(self, odometry: Odometry) -> None:
         """Move the pose by the increments of one step."""
 
+    @abstractmethod
     def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct by a whole scan at once; `iterate` relinearises until it settles."""
 
+    @abstractmethod
     def augment(self, z: Array, R: Array, ids: Ints) -> None:
         """Take in new landmarks under ids never used before; those that find no room are counted in `dropped`."""
 
@@ -69,27 +73,33 @@ class Filter(Protocol):
     def marginal(self, ids: Ints) -> tuple[Array, Array]:
         """Mean (3+2m,) x, y, heading, landmarks and its covariance, in world coordinates."""
 
+    @abstractmethod
     def fuse(self, keep: int, drop: int) -> None:
         """Merge two landmarks: both are at one place, then `drop` is removed."""
 
+    @abstractmethod
     def remove(self, ids: Ints) -> None:
         """Forget landmarks."""
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates; a copy."""
 
+    @abstractmethod
     def copy(self) -> Self:
         """An independent filter with the same state: what association tries out does not touch the estimate."""
 
+    @abstractmethod
     def loosen(self, pose_cov: Array) -> None:
         """Add a covariance (3,3) of x, y, heading to the pose: what odometry may be wrong by."""
 
+    @abstractmethod
     def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
         """The pose is this, independent of the landmarks, which keep their covariance.
 
         Without its covariance (3,3) it is exact (estimator "truth"); with one it was given from outside.
         """
 
+    @abstractmethod
     def shift_pose(self, T_old_new: Array) -> None:
         """The pose becomes that of a frame at T_old_new (3,) in the present one (a laser off the robot's centre)."""
 
@@ -108,3 +118,4 @@ class Associator(Protocol):
 
     def remember(self, match: Match) -> None:
         """Called once per scan, after tracks and landmarks were initialised: `match` has the ids of new features."""
+        return

@@ -25,8 +25,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.processes import WorkerDied, cores, start_method
-from mecp_env.core.worker_pool import WorkerPool
+from mecp_env.core.processes import WorkerDied, WorkerPool, cores, start_method
 from mecp_env.env import MecpEnv
 from mecp_env.episode.start import check_seed
 from mecp_env.planning.breadth_first import BreadthFirst

@@ -20,8 +20,7 @@ from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
 
 from mecp_env.core import processes
-from mecp_env.core.processes import Failure
-from mecp_env.core.worker_pool import WorkerPool
+from mecp_env.core.processes import Failure, WorkerPool
 
 ALIGNMENT = 64  # bytes; a line of the processor's cache
 OBSERVATION, INFO = "observation/", "info/"  # prefixes of the names of fields, and of the numbers in a record

@@ -14,7 +14,7 @@ from packaging.requirements import Requirement
 from mecp_env.cli import doctor
 from mecp_env.cli import main as cli
 from mecp_env.cli.doctor import Finding
-from mecp_env.core import jit, warm_up
+from mecp_env.core import jit
 
 Said = pytest.CaptureFixture[str]
 
@@ -78,8 +78,7 @@ def test_the_dependencies_are_known_without_an_installation(monkeypatch: pytest.
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """Where compiled functions are kept; it can be made."""
-    for module in (jit, warm_up):
-        monkeypatch.setattr(module, "cache_directory", lambda: tmp_path / "cache")
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path / "cache")
     return tmp_path / "cache"
 
 
@@ -88,7 +87,7 @@ def test_the_cache_of_compiled_functions_is_judged(place: Path, monkeypatch: pyt
     assert (writable.verdict, cold.verdict) == ("PASS", "WARN")
     assert "compiles first" in cold.said
     assert cold.fix == "mecp-env warmup"
-    (place / warm_up.DONE).touch()
+    (place / jit.DONE).touch()
     (warm,) = doctor.compiled_functions(0.0)
     assert warm.verdict == "PASS"
     place.with_name("file").touch()

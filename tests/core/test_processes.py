@@ -12,9 +12,8 @@ from typing import Any
 
 import pytest
 
-from mecp_env.core import worker_pool
-from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied
-from mecp_env.core.worker_pool import WorkerPool
+from mecp_env.core import processes
+from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerPool
 from tests.processes import gone_within, needs_linux
 
 pytestmark = needs_linux
@@ -134,7 +133,7 @@ def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
 
 
 def test_a_worker_that_does_not_stop_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_pool, "STOP_S", 0.3)
+    monkeypatch.setattr(processes, "STOP_S", 0.3)
     pool = WorkerPool({"slow": Target("slow")}, "fork")
     pids, start = pool.pids, time.monotonic()
     pool.close()

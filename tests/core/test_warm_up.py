@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from mecp_env.core import warm_up
+from mecp_env.core import jit
 
-ROOT = Path(warm_up.__file__).parents[2]
+ROOT = Path(jit.__file__).parents[2]
 
 
 @pytest.fixture
 def cold(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """The place of a cache that is empty."""
-    monkeypatch.setattr(warm_up, "cache_directory", lambda: tmp_path / "cache")
-    monkeypatch.delenv(warm_up.SWITCH, raising=False)
+    monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path / "cache")
+    monkeypatch.delenv(jit.SWITCH, raising=False)
     return tmp_path / "cache"
 
 
@@ -29,7 +29,7 @@ def cold(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def driven(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The drives that were started."""
     found: list[Any] = []
-    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: found.append(drives) or ())
+    monkeypatch.setattr(jit, "compile_ahead", lambda drives, report: found.append(drives) or ())
     return found
 
 
@@ -37,25 +37,25 @@ def test_the_first_use_compiles_and_says_so_in_one_line(
     cold: Path, driven: list[Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setenv(warm_up.SWITCH, "0")
-        warm_up.prepare()
+        patch.setenv(jit.SWITCH, "0")
+        jit.prepare()
         assert driven == []  # switched off
-    warm_up.prepare()
-    assert driven == [warm_up.FIRST]
+    jit.prepare()
+    assert driven == [jit.FIRST]
     (record,) = caplog.records
     assert "compiling" in record.message
-    assert warm_up.SWITCH in record.message
+    assert jit.SWITCH in record.message
     cold.with_name("file").touch()
-    monkeypatch.setattr(warm_up, "cache_directory", lambda: cold.with_name("file"))
-    warm_up.prepare()
+    monkeypatch.setattr(jit, "cache_directory", lambda: cold.with_name("file"))
+    jit.prepare()
     assert len(driven) == 1  # where nothing can be kept, nothing is compiled ahead
 
 
 def _is_prepared() -> bool:
     calls: list[Any] = []
-    warm_up.is_cold, warm_up.compile_ahead = lambda: True, lambda *_: calls.append(_)  # type: ignore[assignment]
-    os.environ.pop(warm_up.SWITCH, None)
-    warm_up.prepare()
+    jit.is_cold, jit.compile_ahead = lambda: True, lambda *_: calls.append(_)  # type: ignore[assignment]
+    os.environ.pop(jit.SWITCH, None)
+    jit.prepare()
     return bool(calls)
 
 
@@ -67,24 +67,24 @@ def test_a_worker_of_a_pool_never_compiles_ahead() -> None:
 @pytest.mark.slow
 def test_what_was_compiled_ahead_is_warm_even_where_a_drive_fails(cold: Path) -> None:
     """It would fail again."""
-    assert warm_up.is_cold()
+    assert jit.is_cold()
     counts: list[int] = []
-    assert warm_up.compile_ahead(["no such drive"], counts.append) == ("no such drive",)
+    assert jit.compile_ahead(["no such drive"], counts.append) == ("no such drive",)
     assert counts[0] == 0
-    assert not warm_up.is_cold()
+    assert not jit.is_cold()
 
 
 INTERRUPTED = """
 import os, signal, sys
-from mecp_env.core import warm_up
+from mecp_env.core import jit
 signal.signal(signal.SIGINT, signal.default_int_handler)
-Popen = warm_up.subprocess.Popen
+Popen = jit.subprocess.Popen
 class Noted(Popen):
     def __init__(self, line, **words):
         super().__init__([sys.executable, "-c", "import time; time.sleep(60)"], **words)
         print(self.pid, flush=True)
-warm_up.subprocess.Popen = Noted
-warm_up.compile_ahead(["a", "b"], lambda count: os.kill(os.getpid(), signal.SIGINT))
+jit.subprocess.Popen = Noted
+jit.compile_ahead(["a", "b"], lambda count: os.kill(os.getpid(), signal.SIGINT))
 """
 
 
@@ -98,4 +98,4 @@ def test_an_interrupt_ends_the_processes_and_leaves_it_cold(tmp_path: Path) -> N
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
-    assert not list(tmp_path.rglob(warm_up.DONE))
+    assert not list(tmp_path.rglob(jit.DONE))

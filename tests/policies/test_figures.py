@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mecp_env.core.budget import budget_m
-from mecp_env.core.intervals import correlation, estimate, over_runs
+from mecp_env.core.intervals import budget_m, correlation, estimate, over_runs
 from mecp_env.policies.evaluation import COMPARED, Row, by_name, returns_of, seeds_of
 from mecp_env.policies.report import returns_table, seeds_table
 from mecp_env.policies.rollout import CoverageCurve, EpisodeResult, EpisodeTask

@@ -10,13 +10,13 @@ import numpy as np
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association.cliques import Headings
 from mecp_env.slam.association.mecp import OPEN, PolygonTest
-from mecp_env.slam.frontend.line_ends import EndBearing
-from mecp_env.slam.frontend.line_intersections import RolledScan
+from mecp_env.slam.frontend.beams import RolledScan
+from mecp_env.slam.frontend.line_corners import EndBearing
 from mecp_env.slam.grid.canvas import NOTHING
 from mecp_env.slam.grid.cells import Raster
-from mecp_env.slam.localisation.pose_guard import Agreement, Evidence
+from mecp_env.slam.localisation import Agreement, Evidence
 from mecp_env.slam.localisation.relocalisation import Hypothesis, Located
-from mecp_env.slam.mecp.edge_labels import EdgeBeams
+from mecp_env.slam.mecp.polygons import EdgeBeams
 from mecp_env.slam.messages import (
     FEATURE,
     NO_ID,

@@ -10,7 +10,7 @@ import pytest
 from mecp_env.core.carriers import carrier
 from mecp_env.core.linalg import downdate
 from mecp_env.slam.association import MatchBuilder
-from mecp_env.slam.landmark_map.map_polygons import are_whole, groups_of, link, without_doubles
+from mecp_env.slam.landmark_map import are_whole, groups_of, link, without_doubles
 from mecp_env.slam.messages import Decision, FeatureState, Reason
 from tests.slam import make
 

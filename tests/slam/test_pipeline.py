@@ -1,5 +1,6 @@
 """The whole estimator, on scripted drives through two rooms and around a ring."""
 
+import inspect
 from collections import Counter, defaultdict
 from dataclasses import replace
 
@@ -9,9 +10,13 @@ import pytest
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
+from mecp_env.slam.landmark_map import LandmarkMap
+from mecp_env.slam.localisation import Evidence, PoseGuard
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
+from mecp_env.slam.panorama import RecentScans
 from mecp_env.slam.pipeline import SlamPipeline
-from tests.slam.drives import scripted_drive
+from tests.slam import make
+from tests.slam.drives import fed, scripted_drive
 
 NOISE: dict[str, dict[str, float]] = {
     "paper": {},
@@ -179,3 +184,71 @@ def test_a_dict_configures_as_well():
     assert SlamPipeline({"filter": {"kind": "ekf"}}).config.filter.kind == "ekf"
     with pytest.raises(ConfigError, match="filtre"):
         SlamPipeline({"filtre": {}})
+
+
+def spied(monkeypatch, cls, name):
+    """The arguments of each call of a method from now on."""
+    calls, real = [], getattr(cls, name)
+
+    def spy(*args, **keywords):
+        calls.append(inspect.signature(real).bind(*args, **keywords).arguments)
+        return real(*args, **keywords)
+
+    monkeypatch.setattr(cls, name, spy)
+    return calls
+
+
+@pytest.fixture
+def mapping(drive):
+    """A pipeline after the first scans of a drive, and the step that comes next."""
+    pipeline = SlamPipeline()
+    for _ in fed(pipeline, drive, last=12):
+        pass
+    return pipeline, (drive.odometry[12], drive.scans[12])
+
+
+@pytest.mark.parametrize(("settled", "iterated"), [(True, [False]), (False, [False, True])])
+def test_odometry_is_doubted_only_where_the_first_attempt_settles_nothing(mapping, monkeypatch, settled, iterated):
+    """The first update is that of a sharp prediction; the second, of a loosened one, is iterated."""
+    pipeline, step = mapping
+    monkeypatch.setattr(Evidence, "fits", property(lambda _: False))
+    monkeypatch.setattr(Evidence, "settles", lambda *_: settled)
+    updates = spied(monkeypatch, PoseGuard, "update")
+    pipeline.step(*step)
+    assert [update["iterate"] for update in updates] == iterated
+
+
+@pytest.mark.parametrize(("nearly_fits", "clear"), [(False, False), (True, False), (False, True)])
+def test_a_pose_of_failed_odometry_counts_where_the_first_nearly_fits_or_a_search_finds_it(
+    mapping, monkeypatch, nearly_fits, clear
+):
+    """Otherwise another place may look like this one: the scan changes nothing."""
+    pipeline, step = mapping
+    monkeypatch.setattr(Evidence, "fits", property(lambda _: False))
+    monkeypatch.setattr(Evidence, "nearly_fits", property(lambda _: nearly_fits))
+    monkeypatch.setattr(Evidence, "beats", lambda *_: True)
+    monkeypatch.setattr(Evidence, "settles", lambda *_: False)
+    monkeypatch.setattr(PoseGuard, "is_clear", lambda *_: clear)
+    pipeline.step(*step)
+    assert pipeline.guard.is_sure == (nearly_fits or clear)
+
+
+@pytest.mark.parametrize("wide", [False, True])
+def test_tracks_are_confirmed_sooner_after_a_wide_prediction(mapping, monkeypatch, wide):
+    pipeline, step = mapping
+    pipeline.filter.loosen(np.diag([0.04, 0.04, 0.0]) * wide)
+    tracked = spied(monkeypatch, LandmarkMap, "track")
+    pipeline.step(*step)
+    assert [call["wide"] for call in tracked] == [wide]
+
+
+@pytest.mark.parametrize("found", [False, True])
+def test_a_pose_that_is_found_empties_the_window_of_recent_scans(mapping, monkeypatch, found):
+    pipeline, step = mapping
+    pipeline.lose_pose()
+    here = make.hypothesis((), at=pipeline.filter.belief().T_map_robot).at
+    monkeypatch.setattr(PoseGuard, "search", lambda *_: here if found else None)
+    monkeypatch.setattr(PoseGuard, "resumes", lambda *_: False)
+    emptied = spied(monkeypatch, RecentScans, "forget")
+    pipeline.step(*step)
+    assert len(emptied) == found

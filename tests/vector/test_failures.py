@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError
 
-from mecp_env.core import worker_pool
+from mecp_env.core import processes
 from mecp_env.vector import BatchEnv, WorkerDied
 from tests.env.helpers import make
 from tests.processes import gone_within, needs_linux
@@ -141,7 +141,7 @@ def make_here(owner: int) -> Any:
 
 
 def test_closing_in_the_middle_of_a_step_is_quiet_and_does_not_wait(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(worker_pool, "STOP_S", 0.5)
+    monkeypatch.setattr(processes, "STOP_S", 0.5)
     for keywords in ({"wrappers": (Slow,)}, {"max_steps": 1, "autoreset_mode": "SameStep"}):  # with a large answer
         venv = make_small(**keywords)
         venv.reset(seed=1)

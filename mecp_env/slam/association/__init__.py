@@ -5,15 +5,14 @@ from collections.abc import Callable
 from mecp_env.core.registry import register
 from mecp_env.slam.association.gating import MatchBuilder, ignored
 from mecp_env.slam.association.mecp import JointDescriptorAssociator, MecpAssociator
-from mecp_env.slam.association.oracle import OracleAssociator
-from mecp_env.slam.association.posts import PostsApart
+from mecp_env.slam.association.paper import MecpPaperAssociator, PostsApart
 from mecp_env.slam.association.rivals import (
     CcdaAssociator,
     JcbbAssociator,
-    MecpPaperAssociator,
     NearestAssociator,
-    NearestDescriptorAssociator,
-    NearestRoomAssociator,
+    OracleAssociator,
+    nearest_descriptor,
+    nearest_room,
 )
 from mecp_env.slam.config import METHODS, AssociationConfig
 from mecp_env.slam.protocols import Associator
@@ -25,8 +24,8 @@ ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "ccda": CcdaAssociator,
     "joint_descriptor": JointDescriptorAssociator,
     "nearest": NearestAssociator,
-    "nearest_room": NearestRoomAssociator,
-    "nearest_descriptor": NearestDescriptorAssociator,
+    "nearest_room": nearest_room,
+    "nearest_descriptor": nearest_descriptor,
     "known": OracleAssociator,
 }
 
@@ -60,8 +59,6 @@ __all__ = [
     "MecpAssociator",
     "MecpPaperAssociator",
     "NearestAssociator",
-    "NearestDescriptorAssociator",
-    "NearestRoomAssociator",
     "OracleAssociator",
     "PostsApart",
     "ignored",

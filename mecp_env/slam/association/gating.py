@@ -10,6 +10,7 @@ Pairings (P,) have a row of the corner and a landmark; nu (2P,) and S (2P,2P) ar
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Self
 
@@ -20,10 +21,20 @@ from mecp_env.core.carriers import Array, Bools, Ints, Rows, carrier, row_type
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import HERE, NO_ID, UNKNOWN_ROOM, CornerKind, Corners, Decision, MapView, Match, Reason
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.messages import (
+    HERE,
+    NO_ID,
+    NO_IDS,
+    UNKNOWN_ROOM,
+    CornerKind,
+    Corners,
+    Decision,
+    MapView,
+    Match,
+    Reason,
+)
+from mecp_env.slam.protocols import Associator, Filter
 
-NOWHERE = np.empty(0, np.int64)
 FIXED = -math.inf  # cost of a pair that a polygon match has fixed: below every NIS
 ROW = row_type([("id", np.int64), ("decision", np.int64), ("reason", np.int64), ("nis", np.float64)])
 INITIAL = np.repeat(np.array([(NO_ID, Decision.NEW, Reason.UNSEEN, np.nan)], ROW), 256)
@@ -34,6 +45,17 @@ INITIAL_BYTES = INITIAL.view(np.uint8)  # copied, faster than filled, and faster
 def chi2_gate(dof: int, probability: float) -> float:
     """The value that a chi-square variable of `dof` degrees of freedom stays under with `probability`."""
     return float(chdtri(dof, 1.0 - probability))
+
+
+@dataclass(slots=True, eq=False)
+class GatedAssociator(Associator):
+    """An associator with a configuration and the gate of a single pair that it implies."""
+
+    config: AssociationConfig
+    gate: float = field(init=False)  # NIS of a single pair
+
+    def __post_init__(self) -> None:
+        self.gate = chi2_gate(2, self.config.gate_probability)
 
 
 @carrier
@@ -58,7 +80,7 @@ def pairing_table(
         heading, tolerance = view.belief.T_map_robot[2], math.radians(config.descriptor_deg) + turn_rad
         mask_by_descriptor(nis, corners.convex, corners.normals, heading, ids, features, tolerance)
     home = UNKNOWN_ROOM if graph.in_doorway or not config.use_rooms else graph.current
-    behind = graph.rooms_behind(view.through) if config.use_rooms else NOWHERE
+    behind = graph.rooms_behind(view.through) if config.use_rooms else NO_IDS
     costs = np.empty(nis.shape)
     mask_by_room(nis, costs, home, corners.beyond, behind, ids, features, home_gate)
     if view.past is not None:
@@ -260,12 +282,12 @@ class MatchBuilder:
     def assign(
         self,
         corners: Ints | slice | int,
-        decision: Decision,
-        reason: Reason,
+        decision: Decision | Ints,
+        reason: Reason | Ints,
         ids: Ints | int = NO_ID,
         nis: Array | float = np.nan,
     ) -> None:
-        """Decide for some corners (c,), or one; ids and NIS are (c,) or one value."""
+        """Decide for some corners (c,), or one; every column is (c,) or one value."""
         for name, values in (("id", ids), ("decision", decision), ("reason", reason), ("nis", nis)):
             self.rows[name][corners] = values
 

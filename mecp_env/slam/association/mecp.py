@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from mecp_env.core.jit import compiled
 from mecp_env.slam.association.cliques import FirstPass
 from mecp_env.slam.association.gating import (
     FIXED,
+    GatedAssociator,
     MatchBuilder,
     chi2_gate,
     greedy_joint_compatibility,
@@ -25,19 +26,18 @@ from mecp_env.slam.association.gating import (
 )
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import (
+    NO_IDS,
     Belief,
     Corners,
     Decision,
-    FeatureState,
     MapView,
     Match,
     Polygon,
     PolygonGroup,
     Reason,
 )
-from mecp_env.slam.protocols import Associator, Filter
+from mecp_env.slam.protocols import Filter
 
-NONE = np.empty(0, np.int64)
 OPEN = sys.float_info.max  # a gate that every NIS passes but inf, that of another descriptor
 
 
@@ -57,15 +57,6 @@ class PolygonTest(NamedTuple):
     vertex_gate: float  # NIS of a vertex alone; generous: the joint test decides
     centre_gate: float  # NIS of the centre
     iterate: bool  # the joint test
-
-
-def map_polygons_of(view: MapView, cardinality: int) -> tuple[Ints, Ints]:
-    """Indices (C,) of the map polygons of that cardinality made of landmarks alone, and their ids (C,k)."""
-    group = view.groups.get(cardinality)
-    if group is None:
-        return np.empty(0, np.int64), np.empty((0, cardinality), np.int64)
-    whole = (view.features.rows["state"][group.ids] == int(FeatureState.LANDMARK)).all(axis=1)
-    return group.index[whole], group.ids[whole]
 
 
 @compiled
@@ -159,8 +150,7 @@ def _agreed(
     return (map_polygon, corners[agreed], ids[agreed]) if agreed.sum() >= 3 else None
 
 
-@dataclass(slots=True, eq=False)
-class MecpAssociator(Associator):
+class MecpAssociator(GatedAssociator):
     """Polygons first, globally; then everything else jointly, within the room where rooms are used.
 
     Where the prediction is not sharp there are two passes. In the first, a polygon of the scan, recognised by an
@@ -170,11 +160,7 @@ class MecpAssociator(Associator):
     polygon is linear then.
     """
 
-    config: AssociationConfig
-    gate: float = field(init=False)  # NIS of a single pair
-
-    def __post_init__(self) -> None:
-        self.gate = chi2_gate(2, self.config.gate_probability)
+    __slots__ = ()
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner (III-B.2)."""
@@ -229,7 +215,7 @@ class MecpAssociator(Associator):
         belief: Filter,
     ) -> None:
         """Accept pairings by joint compatibility, those of the polygon that was found first."""
-        fixed = NONE, NONE
+        fixed = NO_IDS, NO_IDS
         if found is not None:
             fixed = found.corners, found.ids
             builder.polygon, builder.map_polygon = found.polygon, found.map_polygon
@@ -267,12 +253,10 @@ def accept(
             row.reason = Reason.POLYGON if cost[p] == FIXED else Reason.JOINT
 
 
-@dataclass(slots=True, eq=False)
 class JointDescriptorAssociator(MecpAssociator):
-    """Pairs are accepted one by one at the prediction, each given those before it (joint_compatibility.py).
+    """Pairs are accepted one by one at the prediction, each given those before it; no polygons, and one pass."""
 
-    Descriptors and rooms are switches.
-    """
+    __slots__ = ()
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner."""

@@ -1,8 +1,8 @@
-"""Rival associators, for comparison only: nearest neighbour and its variants, `jcbb`, `ccda`, `mecp_paper`.
+"""Rival associators, for comparison only: nearest neighbour and its variants, `jcbb`, `ccda`, and the bound `known`.
 
 `nearest` is the baseline: gated nearest neighbour over the whole map, one to one (individual compatibility, ICNN);
-`nearest_descriptor` and `nearest_room` show what descriptors alone and rooms alone are worth. `mecp_paper` is the paper
-to the letter (III-B), kept so that each reading can be measured.
+`nearest_descriptor` and `nearest_room` show what descriptors alone and rooms alone are worth. `known` is association
+from ground truth (estimator="known").
 
 Combined constraint data association (CCDA): the largest set of pairs that agree on all distances.
 
@@ -29,8 +29,9 @@ tested at the prediction, in one linearisation, and without a rule for ambiguous
 from __future__ import annotations
 
 import math
+from abc import abstractmethod
 from dataclasses import dataclass, field
-from typing import ClassVar
+from typing import Protocol
 
 import numpy as np
 
@@ -38,24 +39,22 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association.cliques import ANY_HEADING, PairGraph, jointly_compatible
-from mecp_env.slam.association.gating import MatchBuilder, chi2_gate, one_to_one, pairing_table
-from mecp_env.slam.association.mecp import map_polygons_of
+from mecp_env.slam.association.gating import GatedAssociator, MatchBuilder, chi2_gate, one_to_one, pairing_table
 from mecp_env.slam.config import AssociationConfig
-from mecp_env.slam.messages import Corners, Decision, MapView, Match, Polygon, Reason
+from mecp_env.slam.messages import NO_ID, Corners, Decision, FeatureState, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 
 
-@dataclass(slots=True, eq=False)
-class NearestAssociator(Associator):
+class NearestAssociator(GatedAssociator):
     """No polygons, no rooms, no descriptor: the smallest Mahalanobis distance inside the gate, each landmark once."""
 
-    config: AssociationConfig
+    __slots__ = ()
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner."""
         builder = MatchBuilder(len(corners))
         nis = belief.individual_nis(corners.z, corners.R, view.belief.ids)
-        pair_nearest(builder, nis, view.belief.ids, chi2_gate(2, self.config.gate_probability))
+        pair_nearest(builder, nis, view.belief.ids, self.gate)
         return builder.classify_unmatched(nis, self.config.ignore_gate).match()
 
 
@@ -67,135 +66,69 @@ def pair_nearest(builder: MatchBuilder, nis: Array, landmarks: Ints, gate: float
     builder.assign(corners, Decision.LANDMARK, Reason.ROOM, landmarks[rows], nis[corners, rows])
 
 
-@dataclass(slots=True, eq=False)
-class NearestMaskedAssociator(Associator):
-    """As `nearest` among the landmarks that `SWITCHES` allow, whatever the switches of the configuration are."""
-
-    config: AssociationConfig
-    SWITCHES: ClassVar[dict[str, bool]] = {}
-
-    def __post_init__(self) -> None:
-        self.config = self.config.model_copy(update=self.SWITCHES)
-
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision per corner."""
-        gate = chi2_gate(2, self.config.gate_probability)
-        builder, table = MatchBuilder(len(corners)), pairing_table(corners, view, belief, self.config, gate)
-        pair_nearest(builder, table.costs, view.belief.ids, gate)
-        return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
-
-
-class NearestDescriptorAssociator(NearestMaskedAssociator):
-    """As `nearest` among the landmarks of the whole map whose descriptor is that of the corner."""
+class TableAssociator(GatedAssociator):
+    """Pairs from one table of NIS at the prediction, limited by rooms and descriptors where they are used."""
 
     __slots__ = ()
-    SWITCHES: ClassVar = {"use_rooms": False, "use_descriptor": True}
-
-
-class NearestRoomAssociator(NearestMaskedAssociator):
-    """As `nearest` among the landmarks of the room; of all where no landmark of the room is inside the gate."""
-
-    __slots__ = ()
-    SWITCHES: ClassVar = {"use_rooms": True, "use_descriptor": False}
-
-
-@dataclass(slots=True, eq=False)
-class MecpPaperAssociator(Associator):
-    """Polygon centres by the paper's covariance (eq. 3), two vertices by NIS, the rest implicitly; then the room."""
-
-    config: AssociationConfig
-
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision per corner (III-B.2)."""
-        builder, landmarks = MatchBuilder(len(corners)), view.belief.ids
-        if not len(landmarks) or not len(corners):
-            return builder.match()
-        gate = chi2_gate(2, self.config.gate_probability)
-        table = pairing_table(corners, view, belief, self.config, home_gate=np.inf)
-        for p, polygon in enumerate(polygons):
-            index, ids = self._nearest_centre(corners, polygon, view, belief, gate)
-            shift = _two_vertices(table.nis[polygon.corners], view.belief.rows(ids), gate) if index >= 0 else -1
-            if shift >= 0:
-                ids = np.roll(ids, -shift)
-                builder.assign(polygon.corners, Decision.LANDMARK, Reason.POLYGON, ids)
-                builder.polygon, builder.map_polygon = p, index
-                break
-        table.costs[:, np.isin(landmarks, builder.rows["id"])] = np.inf
-        pair_nearest(builder, table.costs, landmarks, gate)
-        return builder.match()
-
-    def _nearest_centre(
-        self, corners: Corners, polygon: Polygon, view: MapView, belief: Filter, gate: float
-    ) -> tuple[int, Ints]:
-        """The map polygon of equal cardinality with the smallest Mahalanobis distance of centres (III-B.2)."""
-        z, R = corners.measurements(polygon.corners)
-        best, nearest, vertices = gate, -1, polygon.corners
-        for index, ids in zip(*map_polygons_of(view, len(polygon.corners)), strict=True):
-            nis = belief.mean_of_gaussians_nis(z, R, ids, paper_S=True)  # eq. 3
-            if nis < best:
-                best, nearest, vertices = nis, int(index), ids
-        return nearest, vertices
-
-
-def _two_vertices(nis: Array, rows: Ints, gate: float) -> int:
-    """The shift at which two consecutive vertices fit best by NIS, or -1 (III-B.2); nis (k,N)."""
-    k = len(rows)
-    best, found = np.inf, -1
-    for shift in range(k):
-        first, second = nis[0, rows[shift]], nis[1, rows[(shift + 1) % k]]
-        if max(first, second) <= gate and first + second < best:
-            best, found = first + second, shift
-    return found
-
-
-@dataclass(slots=True, eq=False)
-class CcdaAssociator(Associator):
-    """The clique found within `search_budget` nodes; then the best one so far counts."""
-
-    config: AssociationConfig
-    gate: float = field(init=False)  # NIS of a single pair
-
-    def __post_init__(self) -> None:
-        self.gate = chi2_gate(2, self.config.gate_probability)
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner."""
         builder = MatchBuilder(len(corners))
-        if not (len(view.belief.ids) and len(corners)):
-            return builder.match()
-        table = pairing_table(corners, view, belief, self.config, self.gate)
-        graph = PairGraph.of(corners, table.costs, view, belief, self.config, ANY_HEADING)
+        if len(view.belief.ids) and len(corners):
+            table = pairing_table(corners, view, belief, self.config, self.gate)
+            self._pair(builder, corners, table.costs, view, belief)
+            builder.classify_unmatched(table.nis, self.config.ignore_gate)
+        return builder.match()
+
+    @abstractmethod
+    def _pair(self, builder: MatchBuilder, corners: Corners, costs: Array, view: MapView, belief: Filter) -> None:
+        """Enter pairs of corners and landmarks with these costs (n,N); inf: another room or descriptor."""
+
+
+class NearestMaskedAssociator(TableAssociator):
+    """As `nearest` among the landmarks that rooms and descriptors allow."""
+
+    __slots__ = ()
+
+    def _pair(self, builder: MatchBuilder, corners: Corners, costs: Array, view: MapView, belief: Filter) -> None:
+        pair_nearest(builder, costs, view.belief.ids, self.gate)
+
+
+def nearest_descriptor(config: AssociationConfig) -> Associator:
+    """As `nearest` among the landmarks of the whole map whose descriptor is that of the corner."""
+    return NearestMaskedAssociator(config.model_copy(update={"use_rooms": False, "use_descriptor": True}))
+
+
+def nearest_room(config: AssociationConfig) -> Associator:
+    """As `nearest` among the landmarks of the room; of all where no landmark of the room is inside the gate."""
+    return NearestMaskedAssociator(config.model_copy(update={"use_rooms": True, "use_descriptor": False}))
+
+
+class CcdaAssociator(TableAssociator):
+    """The clique found within `search_budget` nodes; then the best one so far counts."""
+
+    __slots__ = ()
+
+    def _pair(self, builder: MatchBuilder, corners: Corners, costs: Array, view: MapView, belief: Filter) -> None:
+        graph = PairGraph.of(corners, costs, view, belief, self.config, ANY_HEADING)
         clique = self._selected(graph)
-        if len(clique):
-            rows, ids = graph.rows[clique], graph.ids[clique]
-            iterate = not self.config.is_sharp(view.belief)
-            fits = jointly_compatible(corners, rows, ids, belief, self.config, iterate)
-            builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], graph.costs[clique][fits])
-        return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
+        rows, ids = graph.rows[clique], graph.ids[clique]
+        iterate = not self.config.is_sharp(view.belief)
+        fits = jointly_compatible(corners, rows, ids, belief, self.config, iterate)
+        builder.assign(rows[fits], Decision.LANDMARK, Reason.JOINT, ids[fits], graph.costs[clique][fits])
 
     def _selected(self, graph: PairGraph) -> Ints:
         """Indices (k,) of the pairs that the joint test gets."""
         return graph.largest()
 
 
-@dataclass(slots=True, eq=False)
-class JcbbAssociator(Associator):
+class JcbbAssociator(TableAssociator):
     """The hypothesis that JCBB finds within `search_budget` nodes; then the best one so far counts."""
 
-    config: AssociationConfig
-    gate: float = field(init=False)  # NIS of a single pair
+    __slots__ = ()
 
-    def __post_init__(self) -> None:
-        self.gate = chi2_gate(2, self.config.gate_probability)
-
-    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
-        """One decision per corner."""
-        builder = MatchBuilder(len(corners))
-        if not (len(view.belief.ids) and len(corners)):
-            return builder.match()
-        table = pairing_table(corners, view, belief, self.config, self.gate)
-        pair_jointly(builder, corners, table.costs, view.belief.ids, belief, self.config)
-        return builder.classify_unmatched(table.nis, self.config.ignore_gate).match()
+    def _pair(self, builder: MatchBuilder, corners: Corners, costs: Array, view: MapView, belief: Filter) -> None:
+        pair_jointly(builder, corners, costs, view.belief.ids, belief, self.config)
 
 
 def pair_jointly(
@@ -307,3 +240,62 @@ def add_pair(L: Array, k: int, pairs: Ints, z: Array, R: Array, h: Array, HPH: A
         L[row, last] = y / L[row, row]
         added += L[row, last] * L[row, last]
     return added
+
+
+class Correspondences(Protocol):
+    """Ground truth about the corners of one scan."""
+
+    def __call__(self, corners: Corners) -> Ints:
+        """(n,) number of the true corner that each corner of the scan is, -1 for a false detection."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoCorrespondences:
+    """Every corner is a false detection: what an `OracleAssociator` knows until it is given a source."""
+
+    def __call__(self, corners: Corners) -> Ints:
+        """(n,) of -1."""
+        return np.full(len(corners), -1)
+
+
+@dataclass(slots=True, eq=False)
+class OracleAssociator(GatedAssociator):
+    """Pairs each corner with the feature that was initialised from the same true corner.
+
+    The owner of the ground truth sets `correspondences` before each scan: plain data, so that a state can hold it.
+    """
+
+    certain = True
+    correspondences: Correspondences = field(default_factory=NoCorrespondences)
+    true_corner: Ints = field(default_factory=lambda: np.empty(0, np.int64))  # (n,) of each corner of the last scan
+    feature_of: dict[int, int] = field(default_factory=dict)  # true corner -> feature id
+
+    def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
+        """One decision per corner: its landmark or track if the true corner has one, new otherwise."""
+        builder, state = MatchBuilder(len(corners)), view.features.rows["state"]
+        self.true_corner = self.correspondences(corners)
+        for i, true_corner in enumerate(self.true_corner.tolist()):
+            feature = self.feature_of.get(true_corner, NO_ID)
+            if true_corner < 0:
+                builder.assign(i, Decision.IGNORED, Reason.IDENTITY)
+            elif feature != NO_ID and state[feature] != int(FeatureState.DEAD):
+                landmark = state[feature] == int(FeatureState.LANDMARK)
+                decision = Decision.LANDMARK if landmark else Decision.PROVISIONAL
+                builder.assign(i, decision, Reason.IDENTITY, feature)
+        return self._without_outliers(builder, corners, belief).match()
+
+    def _without_outliers(self, builder: MatchBuilder, corners: Corners, belief: Filter) -> MatchBuilder:
+        """The same without pairs that are no measurement of their landmark: at the pose that all pairs imply."""
+        pairs = np.flatnonzero(builder.rows["decision"] == Decision.LANDMARK)
+        if len(pairs):
+            ids, implied = builder.rows["id"][pairs], belief.copy()
+            implied.update(*corners.measurements(pairs), ids, iterate=True)
+            nis = implied.individual_nis(corners.z[pairs], corners.R[pairs], ids).diagonal()
+            outside = pairs[nis > self.gate]
+            builder.assign(outside, Decision.IGNORED, Reason.REFUSED)
+        return builder
+
+    def remember(self, match: Match) -> None:
+        """Note which new feature was initialised from which true corner."""
+        new = match.decision == int(Decision.NEW)
+        self.feature_of.update(zip(self.true_corner[new].tolist(), match.ids[new].tolist(), strict=True))

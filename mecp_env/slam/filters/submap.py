@@ -42,11 +42,10 @@ from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.filters.window import Window, belief_of, integers, slots_of
-from mecp_env.slam.messages import NO_ID, Belief
+from mecp_env.slam.messages import NO_ID, NO_IDS, Belief
 from mecp_env.slam.protocols import FilterError
 
 ROUNDING = float(np.finfo(np.float64).eps)
-NO_IDS = np.empty(0, np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,7 +15,7 @@ import numpy as np
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.core.linalg import downdate, factor_lower, forward_rows, solve_lower
+from mecp_env.core.linalg import block_of, downdate, factor_lower, forward_rows, solve_lower
 from mecp_env.slam.filters.models import change_chart, innovation_cov, linearise, project, residual, retract
 from mecp_env.slam.messages import NO_ID
 
@@ -54,16 +54,10 @@ def append(state: Array, n: int, z: Array, R: Array, invariant: bool) -> None:
 @compiled
 def take(state: Array, slots: Ints) -> Array:
     """The state (1+s,s) of the pose and the landmarks at `slots` (m,), s = 3 + 2m, in the filter's own order."""
-    size = 3 + 2 * slots.shape[0]
-    rows = np.arange(size)
+    rows = np.arange(4 + 2 * slots.shape[0])  # that of the mean, then that of each number
     for k in range(slots.shape[0]):
-        rows[3 + 2 * k], rows[4 + 2 * k] = 3 + 2 * slots[k], 4 + 2 * slots[k]
-    part = np.empty((1 + size, size))
-    for i in range(size):
-        part[0, i] = state[0, rows[i]]
-        for j in range(size):
-            part[1 + i, j] = state[1 + rows[i], rows[j]]
-    return part
+        rows[4 + 2 * k], rows[5 + 2 * k] = 4 + 2 * slots[k], 5 + 2 * slots[k]
+    return block_of(state, rows, rows[1:] - 1)
 
 
 @compiled

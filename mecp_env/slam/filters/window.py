@@ -8,10 +8,10 @@ The one place where a filter that diverges is noticed.
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,8 +19,7 @@ from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import block_of, factor_lower, quadratic, solve_lower
-from mecp_env.core.se2 import wrap_angle
-from mecp_env.core.sensors import Odometry
+from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.filters.models import (
     change_chart,
     innovation,
@@ -32,10 +31,9 @@ from mecp_env.slam.filters.models import (
 )
 from mecp_env.slam.filters.update import gauss_newton, take, world_belief
 from mecp_env.slam.messages import NO_ID, Belief
-from mecp_env.slam.protocols import FilterError
+from mecp_env.slam.protocols import Filter, FilterError
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
-FLOAT, INT, contiguous = np.float64, np.int64, np.ascontiguousarray  # looked up 20 times a step
 
 
 @compiled
@@ -132,10 +130,8 @@ def procrustes(part: Array, z: Array, invariant: bool, xi: Array) -> None:
     `part` is the mean of pose and landmarks; every landmark stays where it is.
     """
     m = z.shape[0]
-    mx, my, lx, ly = 0.0, 0.0, 0.0, 0.0
-    points = np.empty((m, 2))
+    points, mx, my, lx, ly = polar_to_points(z), 0.0, 0.0, 0.0, 0.0
     for k in range(m):
-        points[k, 0], points[k, 1] = z[k, 0] * math.cos(z[k, 1]), z[k, 0] * math.sin(z[k, 1])
         mx, my = mx + points[k, 0] / m, my + points[k, 1] / m
         lx, ly = lx + part[3 + 2 * k] / m, ly + part[4 + 2 * k] / m
     along, across = 0.0, 0.0
@@ -233,11 +229,10 @@ class Window(NamedTuple):
     invariant: bool  # the error acts on pose and landmarks alike (`error_state`); False: it is added to the mean
 
 
-class WindowFilter(ABC):
-    """Base of every filter, and of a filter of your own: what is abstract here is all that it must have.
+class WindowFilter(Filter):
+    """Base of every filter, and of a filter of your own, which must have `window` and what is abstract in `Filter`.
 
-    Shapes, units and errors are those of the protocol `Filter`. `fuse`, `loosen` and `shift_pose` are asked for by the
-    merging of landmarks, by failed odometry and by a laser off the robot's centre.
+    Shapes, units and errors are those described there.
     """
 
     slot_ids: Ints  # (N,) ids in the order of the state; those below -1 are marks of past poses
@@ -260,42 +255,6 @@ class WindowFilter(ABC):
         `apart`: the covariance of one landmark with another may be missing. Raises `FilterError` for an unknown id, or
         leaves it out.
         """
-
-    @abstractmethod
-    def predict(self, odometry: Odometry) -> None:
-        """Move the pose by the increments of one step."""
-
-    @abstractmethod
-    def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
-        """Correct by a whole scan at once; `iterate` relinearises until it settles."""
-
-    @abstractmethod
-    def augment(self, z: Array, R: Array, ids: Ints) -> None:
-        """Take in new landmarks."""
-
-    @abstractmethod
-    def fuse(self, keep: int, drop: int) -> None:
-        """Merge two landmarks: both are at one place, then `drop` is removed."""
-
-    @abstractmethod
-    def remove(self, ids: Ints) -> None:
-        """Forget landmarks."""
-
-    @abstractmethod
-    def copy(self) -> Self:
-        """An independent filter with the same state."""
-
-    @abstractmethod
-    def set_pose(self, T_map_robot: Array, pose_cov: Array | None = None) -> None:
-        """The pose is this, independent of the landmarks; without a covariance it is exact."""
-
-    @abstractmethod
-    def loosen(self, pose_cov: Array) -> None:
-        """Add a covariance (3,3) of x, y, heading to the pose."""
-
-    @abstractmethod
-    def shift_pose(self, T_old_new: Array) -> None:
-        """The pose becomes that of a frame at T_old_new (3,) in the present one."""
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates, without marks of past poses; a copy."""
@@ -384,17 +343,17 @@ def slots_of(slot_ids: Ints, ids: Ints) -> Ints:
 
 def as_floats(values: Array) -> Array:
     """An array as the compiled functions take it."""
-    return contiguous(values, FLOAT)
+    return np.ascontiguousarray(values, np.float64)
 
 
 def integers(values: Ints) -> Ints:
     """An array as the compiled functions take it."""
-    return contiguous(values, INT)
+    return np.ascontiguousarray(values, np.int64)
 
 
 def observations(z: Array, R: Array, ids: Ints) -> tuple[Array, Array, Ints]:
     """The same as the compiled functions take them. Raises `FilterError` for shapes that do not fit."""
-    z, R, ids, n = contiguous(z, FLOAT), contiguous(R, FLOAT), contiguous(ids, INT), len(ids)
+    z, R, ids, n = as_floats(z), as_floats(R), integers(ids), len(ids)
     if z.shape != (n, 2) or R.shape != (2 * n, 2 * n):
         raise FilterError(f"z {z.shape} and R {R.shape} do not fit {n} ids: expected ({n}, 2) and ({2 * n}, {2 * n})")
     return z, R, ids

@@ -1,4 +1,4 @@
-"""Compiled functions: the laser's noise, and the beams of a merged scan in order from a gap on."""
+"""What compiled functions of the front end share: the laser's noise, the beams in order from a gap on, and lines."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 
-Record = Any  # a row of `Settings.record` or of a structured array: numbers by name
 Records = Any  # a structured array
 
 
@@ -49,3 +48,26 @@ def roll_beams(ranges: Array, bearings: Array, count: Ints, roll: int) -> Array:
         at = beam + size - roll
         polar[0, at], polar[1, at], polar[2, at] = ranges[beam], bearings[beam] + 2.0 * np.pi, count[beam]
     return polar
+
+
+class RolledScan(NamedTuple):
+    """The beams of a scan from a gap on, and the raw beams behind them."""
+
+    polar: Array  # (3,B) m, rad, number of raw beams
+    hit: Bools  # (B,)
+    raw_ranges: Array  # (K*B,) m
+    raw_bearings: Array  # (K*B,) rad
+    roll: int
+    step: float  # rad, between two beams
+    max_range: float  # m
+
+
+class Lines(NamedTuple):
+    """The segments, as in `Segments`, and how long they are."""
+
+    line: Array  # (L,2)
+    cov: Array  # (L,2,2)
+    cluster: Ints  # (L,)
+    first: Ints  # (L,)
+    last: Ints  # (L,)
+    length: Array  # (L,) m

@@ -7,10 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Record, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.slam.config import ClusteringConfig, SegmentConfig, SensorModel
-from mecp_env.slam.frontend.beams import Record, laser_noise
+from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
 
 
@@ -34,19 +34,15 @@ def cluster_beams(
     term a flat wall at 1 m is cut at a fifth of its beam pairs.
     """
     denser = math.sin(0.5 * beams.step) / math.sin(0.5 * sweeps * beams.step) if sweeps > 1 else 1.0
-    scan, rule = (beams.ranges, beams.bearings, beams.hit, beams.count), threshold_rule(config, sensor, denser)
-    roll, (first, last, kind) = find_clusters(scan, rule, segments.record, sensor.record)
-    return Clusters(roll, first, last, kind)
-
-
-def threshold_rule(config: ClusteringConfig, sensor: SensorModel, denser: float = 1.0) -> tuple[float, float, float]:
-    """The `rule` of `find_clusters`; `denser` is the distance of two beams of the scan by that of one sweep."""
     fixed = config.threshold == "fixed"
-    return (
+    rule = (
         config.fixed_m if fixed else 0.0,
         0.0 if fixed else denser * math.cos(math.radians(config.grazing_deg)),
         sensor.noise_sigmas if config.threshold == "adaptive_noise" else 0.0,
     )
+    scan = beams.ranges, beams.bearings, beams.hit, beams.count
+    roll, (first, last, kind) = find_clusters(scan, rule, segments.record, sensor.record)
+    return Clusters(roll, first, last, kind)
 
 
 def beams_on_walls(clusters: Clusters, beams: MergedScan) -> Bools:

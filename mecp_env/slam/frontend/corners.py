@@ -6,24 +6,14 @@ import math
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Ints, Record, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import CornerConfig, SensorModel
-from mecp_env.slam.frontend.beams import Record, Records, laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import Lines, Records, RolledScan, laser_noise, roll_beams
 from mecp_env.slam.frontend.door_gaps import find_doorways, mark_beyond
-from mecp_env.slam.frontend.line_ends import add_end
-from mecp_env.slam.frontend.line_intersections import (
-    FOUND,
-    Lines,
-    RolledScan,
-    add_intersection,
-    empty_corners,
-    spread_of,
-)
+from mecp_env.slam.frontend.line_corners import FOUND, add_end, add_intersection, empty_corners, spread_of
 from mecp_env.slam.messages import CornerKind, Corners, Doorways, MergedScan, Segments
-
-Found = tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]
 
 
 def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
@@ -33,7 +23,7 @@ def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig,
     (III-A.1). Differs from the paper: its constant sigmas are replaced by the covariance of the lines, shared by the
     corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
     """
-    found = find_corners(
+    (z, kind, convex, normals), cov, beyond, sites, doorways = find_corners(
         (beams.ranges, beams.bearings, beams.count, beams.hit, beams.raw_ranges, beams.raw_bearings),
         (segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last),
         segments.roll,
@@ -42,12 +32,6 @@ def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig,
         config.gaps.record,
         sensor.record,
     )
-    return as_corners(found, config, sensor)
-
-
-def as_corners(found: Found, config: CornerConfig, sensor: SensorModel) -> Corners:
-    """What `find_corners` returns."""
-    (z, kind, convex, normals), cov, beyond, sites, doorways = found
     if config.covariance == "sensor":  # IV: sigma_r and sigma_theta of the laser, for every corner alike
         noise = laser_noise(sensor.record)
         sigma_m = np.maximum(noise.range_m, noise.share * z[:, 0])
@@ -64,7 +48,7 @@ def find_corners(
     config: Rows,
     gap_config: Rows,
     sensor: Rows,
-) -> Found:
+) -> tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]:
     """z, kind, convex and normals of `Corners`, then its cov, beyond and sites, and the fields of `Doorways`.
 
     `beams` are range, bearing, count, hit, raw range and raw bearing; `segments` the fields of `Segments` up to `last`,
@@ -75,9 +59,7 @@ def find_corners(
     for k in range(line.shape[0]):
         length[k] = math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1])
     lines = Lines(line, line_cov, cluster, first, last, length)
-    polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.empty(beams[3].shape[0], np.bool_)
-    for k in range(hit.shape[0]):
-        hit[k] = beams[3][k + roll if k + roll < hit.shape[0] else k + roll - hit.shape[0]]
+    polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.roll(beams[3], -roll)
     step = (beams[1][-1] - beams[1][0]) / max(beams[1].shape[0] - 1, 1)
     scan = RolledScan(polar, hit, beams[4], beams[5], roll, step, max_range)
     count, size, width = 0, line.shape[0], scan.polar.shape[1]

@@ -6,11 +6,10 @@ import math
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Bools, Ints, Record
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.frontend.beams import Noise, Record, Records
-from mecp_env.slam.frontend.line_intersections import Lines, RolledScan
+from mecp_env.slam.frontend.beams import Lines, Noise, Records, RolledScan
 
 Point = tuple[float, float]
 

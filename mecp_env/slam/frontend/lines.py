@@ -12,9 +12,9 @@ import math
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array, Ints, Record
 from mecp_env.core.jit import compiled
-from mecp_env.slam.frontend.beams import Noise, Record
+from mecp_env.slam.frontend.beams import Noise
 
 ITERATIONS = 2
 

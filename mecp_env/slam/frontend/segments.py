@@ -9,12 +9,12 @@ import math
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Ints, Rows
+from mecp_env.core.carriers import Array, Ints, Record, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import solve3
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.config import SegmentConfig, SensorModel
-from mecp_env.slam.frontend.beams import Noise, Record, laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import Noise, laser_noise, roll_beams
 from mecp_env.slam.frontend.lines import (
     FEWEST,
     absorb_slivers,

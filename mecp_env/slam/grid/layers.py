@@ -9,6 +9,7 @@ from operator import attrgetter, is_
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.se2 import wrapped
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas
@@ -75,8 +76,8 @@ class ScanLayer:
         """Move the scans whose landmarks moved by more than half a cell, drop those whose landmarks are gone."""
         poses, present = key_scans.anchored_poses(self.anchor, self.p_robot, self.T_map_robot, p_landmark)
         step = poses - self.T_map_robot
-        turn = np.abs(np.arctan2(np.sin(step[:, 2]), np.cos(step[:, 2])))
-        moved = np.hypot(step[:, 0], step[:, 1]) + self.config.paint_range_m * turn > 0.5 * canvas.resolution_m
+        shift, turn = np.hypot(step[:, 0], step[:, 1]), np.abs(wrapped(step[:, 2]))
+        moved = shift + self.config.paint_range_m * turn > 0.5 * canvas.resolution_m
         lost = (self.anchor[:, :1] != NO_ID).any(axis=1) & (present == 0)
         for row in np.flatnonzero(moved | lost).tolist():
             self._vote(canvas, row, -1)

@@ -9,7 +9,6 @@ Which of the poses that a search has found is the right one, if that is clear.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -18,9 +17,9 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.core.se2 import polar_to_points
+from mecp_env.core.se2 import polar_to_points, wrapped
 from mecp_env.slam.config import LocalisationConfig
-from mecp_env.slam.messages import Corners, MapView, Polygon
+from mecp_env.slam.messages import NO_IDS, Corners, MapView, Polygon
 
 Complexes = NDArray[np.complex128]
 OPEN_COV = np.diag([9.0, 9.0, 0.25])  # m^2, rad^2: next to no prior, the corners that are explained say the rest
@@ -181,8 +180,7 @@ def fit(here: Complexes, there: Complexes, used: Bools) -> Array:
 
 def fits(seen: Points, i: Ints, heading: Array, known: Points, j: Ints, tolerance: float) -> Bools:
     """(h,) whether corner i[h], turned by heading[h], has the descriptor of landmark j[h]; as in `gating`."""
-    turn = seen.normals[i] + heading[:, None] - known.normals[j]
-    off = np.abs((turn + math.pi) % (2.0 * math.pi) - math.pi)
+    off = np.abs(wrapped(seen.normals[i] + heading[:, None] - known.normals[j]))
     unseen = np.isnan(off)
     same: Bools = (seen.convex[i] == known.convex[j]) & (unseen | (off <= tolerance)).all(axis=1) & ~unseen.all(axis=1)
     return same
@@ -219,8 +217,7 @@ class Hypothesis(NamedTuple):
         return len(other.at.corners) > len(self.at.corners) - margin or other.share > self.share
 
 
-NONE = np.empty(0, np.int64)
-NOWHERE = Hypothesis(Located(np.zeros(3), np.zeros((3, 3)), NONE, NONE), 0.0, -1.0, near=False)
+NOWHERE = Hypothesis(Located(np.zeros(3), np.zeros((3, 3)), NO_IDS, NO_IDS), 0.0, -1.0, near=False)
 
 
 def clear_winner(hypotheses: list[Hypothesis], config: LocalisationConfig) -> Hypothesis | None:

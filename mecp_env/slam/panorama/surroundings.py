@@ -11,12 +11,12 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools, Ints, carrier
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import quadratic
-from mecp_env.core.se2 import polar_to_points, to_map
+from mecp_env.core.se2 import as_bearings, polar_to_points, to_map
 from mecp_env.slam.messages import (
+    NO_DOORS,
     NO_ID,
     Corners,
     Decision,
-    Doorways,
     Match,
     MergedScan,
     Polygon,
@@ -93,7 +93,7 @@ def moved_corners(corners: Corners, kept: Bools, T_now_past: Array, spread: Arra
     index = np.flatnonzero(kept)
     z, cov = moved_measurements(*corners.measurements(index), T_now_past, spread)
     nothing = np.full(len(index), -1)
-    marks = corners.kind[index], corners.convex[index], wrapped(corners.normals[index] + T_now_past[2])
+    marks = corners.kind[index], corners.convex[index], as_bearings(corners.normals[index] + T_now_past[2])
     return Corners(z, cov, *marks, nothing, corners.sites[index], NO_DOORS)
 
 
@@ -141,14 +141,6 @@ def are_new(
         if new[k]:
             points[n, 0], points[n, 1], n = x, y, n + 1
     return new, points[:n]
-
-
-NO_DOORS = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
-
-
-def wrapped(angles: Array) -> Array:
-    """The angles in (-pi, pi]."""
-    return -np.remainder(math.pi - angles, 2.0 * math.pi) + math.pi
 
 
 def surround(

@@ -7,7 +7,7 @@ import pytest
 
 from mecp_env.slam.association import OracleAssociator, make_associator
 from mecp_env.slam.association.gating import MatchBuilder
-from mecp_env.slam.association.posts import PostsApart
+from mecp_env.slam.association.paper import PostsApart
 from mecp_env.slam.config import AssociationConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline

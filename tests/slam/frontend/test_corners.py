@@ -11,8 +11,7 @@ from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.frontend.beams import laser_noise
 from mecp_env.slam.frontend.door_gaps import widening
-from mecp_env.slam.frontend.line_ends import write_end
-from mecp_env.slam.frontend.line_intersections import empty_corners, write_intersection
+from mecp_env.slam.frontend.line_corners import empty_corners, write_end, write_intersection
 from mecp_env.slam.messages import CornerKind
 from tests.slam import make
 from tests.slam.scans import (

@@ -1,31 +1,22 @@
-"""The dense scan: interleaved sweeps become one beam per nominal bearing, and what lasers lose; the whole front end."""
+"""The dense scan: interleaved sweeps become one beam per nominal bearing, and what lasers lose."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from mecp_env.slam.config import SensorModel, SlamConfig
-from mecp_env.slam.frontend import front_end as module
 from mecp_env.slam.frontend.scan import longest_run, merge_sweeps, restore_lost_beams, stop_at_walls
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M, nominal_bearings
-from tests.slam.scans import PAPER, ROOM, blank_scan, cast, chain, front_end, ring, take_scan
+from tests.slam.scans import PAPER, ROOM, cast, chain, front_end, ring, take_scan
 
 DARK = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, dark_dropout=0.2)
 SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80.0)
 GROWING = SensorModel(range_sigma_m=0.01, range_sigma_share=0.01, bearing_sigma_deg=0.0)
-RULES: tuple[dict[str, Any], ...] = (
-    {},
-    {"clustering": {"threshold": "fixed"}},
-    {"clustering": {"threshold": "adaptive"}},
-    {"corners": {"covariance": "sensor"}},
-)
 
 
 def test_sweeps_that_do_not_interleave_in_order_are_sorted():
@@ -181,31 +172,3 @@ def test_what_follows_lost_beams_decides_whether_a_wall_ends(behind_m, is_end):
     corners = front_end(make.scan(cast(faces, nominal_bearings(1))), SLANTING)[-1]
     at_end = np.abs(corners.z - [3.0, 0.0]).max(axis=1, initial=0.0) < 0.05
     assert at_end.any() == is_end
-
-
-def bits(value: Any) -> Any:
-    """What is in a carrier."""
-    if dataclasses.is_dataclass(value):
-        return [bits(getattr(value, part.name)) for part in dataclasses.fields(value)]
-    return (value.dtype, value.shape, value.tobytes()) if isinstance(value, np.ndarray) else value
-
-
-@pytest.mark.parametrize("rules", RULES)
-@pytest.mark.parametrize("sweeps", [1, 4])
-def test_one_call_gives_the_bits_of_the_stages(rules: dict[str, Any], sweeps: int) -> None:
-    config = SlamConfig(**rules, sensor=PAPER)
-    for scan in (*(take_scan(ROOM, PAPER, seed, sweeps) for seed in range(2)), blank_scan(sweeps)):
-        assert bits(module.front_end(scan, config)) == bits(module.stage_by_stage(scan, config))
-
-
-@pytest.mark.parametrize(
-    ("fields", "calls"),
-    [({}, 1), ({"sensor": DARK}, 0), ({"sensor": SLANTING}, 0), ({"clustering": {"sweeps": "union"}}, 0)],
-)
-def test_lasers_that_lose_beams_and_unions_take_the_stages(
-    monkeypatch: pytest.MonkeyPatch, fields: dict[str, Any], calls: int
-) -> None:
-    called, real = list[None](), module.find_features
-    monkeypatch.setattr(module, "find_features", lambda *args: called.append(None) or real(*args))
-    module.front_end(take_scan(ROOM, PAPER), SlamConfig(**fields))
-    assert len(called) == calls

@@ -8,8 +8,8 @@ import pytest
 
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig, TrackConfig
+from mecp_env.slam.landmark_map import MapPolygonStore
 from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, whole_bodies, without_dynamic
-from mecp_env.slam.landmark_map.map_polygons import MapPolygonStore
 from mecp_env.slam.landmark_map.tracks import (
     PruneLimits,
     drop_tracks,

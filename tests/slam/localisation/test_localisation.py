@@ -14,7 +14,7 @@ from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.association import ignored
 from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.localisation.pose_guard import PoseGuard, agreement, count_ends
+from mecp_env.slam.localisation import PoseGuard, agreement, count_ends
 from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winner, count_distinct, fit, moved
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline

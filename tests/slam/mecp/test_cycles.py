@@ -12,8 +12,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp import register_structure
 from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, order_by_bearing, visible_edges
-from mecp_env.slam.mecp.edge_labels import edge_between, edge_is_cut, passing_intervals
-from mecp_env.slam.mecp.polygons import best_free_cycles
+from mecp_env.slam.mecp.polygons import best_free_cycles, edge_between, edge_is_cut, passing_intervals
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
 from tests.slam.make import MIDDLES

@@ -13,7 +13,7 @@ from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
-from mecp_env.slam.panorama.recent_scans import (
+from mecp_env.slam.panorama import (
     is_in_room,
     marks_seen,
     poses_of_marks,

@@ -8,8 +8,8 @@ from shapely.geometry import LineString
 
 from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
+from mecp_env.slam.rooms import RoomGraphEstimator, Trail, last_crossing
 from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, rename_jambs
-from mecp_env.slam.rooms.room_graph import RoomGraphEstimator, Trail, last_crossing
 from tests.slam import make
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face

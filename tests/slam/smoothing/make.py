@@ -8,7 +8,7 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import between, chained, wrapped
-from mecp_env.slam.smoothing import Links, PoseGraph, Priors, Sightings
+from mecp_env.slam.smoothing.optimum import Links, PoseGraph, Priors, Sightings
 
 MOTION = np.array([0.02, 0.01, 0.01])  # m, m, rad: sigmas of a step
 REGISTERED = np.array([0.01, 0.01, 0.004])

@@ -10,7 +10,7 @@ from scipy.optimize import least_squares
 
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import wrapped
-from mecp_env.slam.smoothing import Links, PoseGraph, Sightings, SmoothingError, smooth
+from mecp_env.slam.smoothing.optimum import Links, PoseGraph, Sightings, SmoothingError, smooth
 from tests.slam import make
 from tests.slam.smoothing.make import drive, error_m
 

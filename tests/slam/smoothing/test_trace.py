@@ -12,9 +12,9 @@ from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import between, composed
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, run_log
 from mecp_env.logs import Log, read_log
-from mecp_env.slam import SlamMap, SlamPipeline
+from mecp_env.slam import SlamMap, SlamPipeline, smoothing
 from mecp_env.slam.messages import Cell
-from mecp_env.slam.smoothing import SmoothingError, trace
+from mecp_env.slam.smoothing.optimum import SmoothingError
 from tests.logs.simulated import write_simulated
 from tests.slam.drives import THROUGH_THE_DOOR
 
@@ -120,7 +120,7 @@ def test_without_an_optimum_the_online_path_is_the_final_one(log: Log, monkeypat
     def fails(*_: object) -> None:
         raise SmoothingError("poses still move")
 
-    monkeypatch.setattr(trace, "smooth", fails)
+    monkeypatch.setattr(smoothing, "smooth", fails)
     run = run_log(log, run=OPTIONS.model_copy(update={"scans": 20}))
     assert run.final is None
     np.testing.assert_array_equal(run.T_final_robot, run.T_map_robot)
@@ -133,7 +133,7 @@ def test_without_an_optimum_the_online_path_is_the_final_one(log: Log, monkeypat
 
 def test_the_shortest_runs(log: Log) -> None:
     with pytest.raises(SmoothingError, match="no scan"):
-        trace.Trace(SlamPipeline()).final()
+        smoothing.Trace(SlamPipeline()).final()
     for scans in (1, 2):
         run = run_log(log, run=OPTIONS.model_copy(update={"scans": scans}))
         assert run.final is not None
