@@ -11,6 +11,7 @@ import json
 import pickle
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar
@@ -18,12 +19,13 @@ from typing import Annotated, Any, Literal, TypeVar
 import numpy as np
 from pydantic import BeforeValidator
 
-from mecp_env.config import ObservationConfig, as_section
+from mecp_env.config import ObservationConfig, as_section, merge
 from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
 from mecp_env.learning.fits import Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
+from mecp_env.planning.config import PlanningConfig
 from mecp_env.policies.registry import statistics_of
 
 MOST_BYTES, MOST_UNPACKED = 500_000_000, 1_000_000_000  # of a model file, and of the parts of a zip
@@ -53,6 +55,12 @@ class StockConfig(Settings):
     """The JSON file that may be beside a model file of Stable-Baselines3."""
 
     deterministic: bool = True  # the most probable action, else a draw as in training
+    planning: PlanningConfig = PlanningConfig()  # fields other than those of the environment: which rows there are
+
+    def with_planning(self, settings: dict[str, Any]) -> dict[str, Any]:
+        """Fields of an environment with those of the planning that are set here."""
+        given = self.planning.model_dump(exclude_unset=True)
+        return merge(settings, {"planning": given}) if given else settings
 
 
 class ExportedConfig(StockConfig):
@@ -67,7 +75,7 @@ class ExportedConfig(StockConfig):
     def fit(self) -> Fit:
         """The environment of these fields."""
         observation = self.observation.model_dump(include=self.observation.model_fields_set)
-        settings = with_known_ground(observation)
+        settings = self.with_planning(with_known_ground(observation))
         return Fit(self.actions, settings | ({"reward": self.reward} if self.reward else {}))
 
 
@@ -144,6 +152,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
     found = fit(seen, algorithm.action_space, str(path))
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
+    found = replace(found, settings=config.with_planning(found.settings))
     return ModelPolicy(StockModel(algorithm, preparation(path), config.deterministic), found, str(path), parts)
 
 

@@ -79,6 +79,18 @@ def test_a_script_is_scored_on_what_its_json_names(
     assert run_episode(EpisodeTask(path, 0, EASY, trust=True)).figures["periods"] > 0
 
 
+def test_a_model_is_offered_the_rows_that_its_json_names(tmp_path: Path) -> None:
+    rows = {"known_ground": {"places": 1, "wait_steps": 0}}
+    seen = {"format": "flat", "uncertainty": True}
+    path = script(tmp_path, Flat(32), observation=seen, actions="goal", planning=rows)
+    env = gymnasium.make("mecp_env/ActiveHalls-v0", **options_of(make_policy(path, trust=True)))
+    known = env.unwrapped.config.planning.known_ground
+    assert (known.places, known.wait_steps) == (1, 0)
+    path = script(tmp_path, Flat(32), observation=seen, actions="goal", planning={"known_ground": {"places": -1}})
+    with pytest.raises(ConfigError, match=r"planning.known_ground.places: .*given: -1"):
+        make_policy(path, trust=True)
+
+
 def test_a_drawn_action_follows_from_the_seed(tmp_path: Path) -> None:
     policy = make_policy(
         script(tmp_path, Flat(5), observation="flat", actions="discrete", deterministic=False), trust=True

@@ -75,6 +75,15 @@ def test_the_columns_of_a_flat_model_decide_what_a_task_shows_it(uncertainty: bo
     assert run_episode(EpisodeTask(model, 0, HALLS, trust=True)).figures["decisions"] > 0
 
 
+def test_a_model_is_offered_the_rows_that_its_json_names(tmp_path: Path) -> None:
+    fields = {"planning": {"known_ground": {"places": 1, "wait_steps": 0}}}
+    model = model_of(("MaskablePPO", "flat", "goal"), tmp_path / "model.zip", "mecp_env/ActiveHalls-v0", **fields)
+    (tmp_path / "model.json").write_text(json.dumps(fields))
+    env = gymnasium.make("mecp_env/ActiveHalls-v0", **options_of(load(model, trust=True)))
+    known = env.unwrapped.config.planning.known_ground  # type: ignore[attr-defined]
+    assert (known.places, known.wait_steps) == (1, 0)
+
+
 def test_tables_of_rooms_are_what_a_model_of_velocities_sees_in_a_task(tmp_path: Path) -> None:
     """A task adds columns of goals and `localisation`, which the model does not know."""
     model = model_of(("PPO", "dict", "velocity"), tmp_path / "model.zip")
