@@ -16,6 +16,7 @@ MAGIC, ZSTD = b"\x89MCAP0\r\n", b"\x28\xb5\x2f\xfd"
 MESSAGE, CHUNK = 5, 6  # records of MCAP
 STAMPS = 22  # bytes of a message before its data: channel, number and two times
 PIECE = 2**16
+MOST_MESSAGE = 2**24  # bytes of a message; one that unpacks to more is cut, and so damaged
 SQLITE = ".db3"
 
 Part = tuple[str, bytes]  # packing and bytes
@@ -40,7 +41,8 @@ def unpacker_of(packing: str) -> Any:
 
 def unpacked_message(data: bytes) -> bytes:
     """The data of a message, which are packed where a part is read without the description of its bag."""
-    unpacked: bytes = unpacker_of("zstd").decompress(data) if bytes(data[:4]) == ZSTD else data
+    packed = bytes(data[:4]) == ZSTD
+    unpacked: bytes = unpacker_of("zstd").decompress(data, max_length=MOST_MESSAGE) if packed else data
     return unpacked
 
 

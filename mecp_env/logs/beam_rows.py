@@ -127,7 +127,7 @@ def _best(words: list[str], known: Sequence[str]) -> int | None:
 def _ends(beams: Beams, bearing: Array) -> Ints:
     """(n+1,) the rows at which sweeps begin, and the end.
 
-    They are told by their number, or by their stamps, or by where bearings start again.
+    A sweep ends where its number changes, or its stamp, or where the bearings start again.
     """
     for names in (np.array(beams.scan), np.array(beams.t)):
         begins = np.flatnonzero(np.diff(names) != 0.0) + 1

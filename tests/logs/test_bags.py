@@ -10,6 +10,7 @@ import pytest
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
+from mecp_env.logs.bag2_parts import MOST_MESSAGE, unpacked_message
 from tests.logs.files import (
     BEARINGS,
     MOUNT,
@@ -233,6 +234,13 @@ def test_a_part_with_packed_messages_alone(tmp_path: Path, suffix: str) -> None:
     check_path(read_log(part))
     (part.parent / "metadata.yaml").unlink()
     check_path(read_log(part))
+
+
+def test_a_packed_message_is_unpacked_up_to_a_limit() -> None:
+    zstd = pytest.importorskip("backports.zstd")
+    assert len(unpacked_message(zstd.compress(bytes(2**26)))) == MOST_MESSAGE
+    assert unpacked_message(zstd.compress(b"short")) == b"short"
+    assert unpacked_message(b"plain") == b"plain"
 
 
 def test_an_increment_of_the_wrong_sign_and_scans_without_ranges(tmp_path: Path) -> None:
