@@ -16,7 +16,7 @@ from mecp_env.core.se2 import to_robot
 from mecp_env.core.settings import guess
 from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.episode.observations import GridWindows, Seen
-from mecp_env.planning.goal_list import PLACE, GoalKind, RowTimes
+from mecp_env.planning.goal_list import PLACE, GoalKind, RowTimes, drawing_sigma
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import Cell, SemanticGrid
 
@@ -68,7 +68,7 @@ BEAMS = 24
 SECTOR_RAD, BEAM_RAD = 2.0 * math.pi / SECTORS, 2.0 * math.pi / BEAMS
 UNKNOWN, OCCUPIED = int(Cell.UNKNOWN), int(Cell.OCCUPIED)
 DIRECTIONS = np.array([(math.cos(k * BEAM_RAD), math.sin(k * BEAM_RAD)) for k in range(BEAMS)])
-AHEAD_M, METRE = 4.0, 0.02  # of the cost of a place, as in `Returning`
+METRE = 0.02  # what a metre of the way to a place costs, as a share of the present deviation, as in `Returning`
 POWER, START_M, LEAST_M2 = 0.7, 2.0, 0.1  # of the value of a goal, as in `NextBestView`
 DERIVED = 5  # columns of a goal that depend on the pose or the grid
 IMAGE = (64, 0.4)  # cells per side, m per cell
@@ -213,8 +213,8 @@ def best_place_last(goals: Goals, pose_cov: Array) -> Goals:
     the present deviation per metre.
     """
     x, y, heading = np.maximum(np.diagonal(pose_cov), 0.0).tolist()
-    now_m = math.hypot(math.sqrt(0.5 * (x + y)), AHEAD_M * math.sqrt(heading))
-    cost = np.hypot(goals.sigma_m, AHEAD_M * goals.sigma_rad) + METRE * now_m * goals.path_m
+    now_m = float(drawing_sigma(np.sqrt(0.5 * (x + y)), np.sqrt(heading)))
+    cost = drawing_sigma(goals.sigma_m, goals.sigma_rad) + METRE * now_m * goals.path_m
     return goals.in_order(np.lexsort((np.where(goals.kind == PLACE, -cost, 0.0), goals.kind >= PLACE)))
 
 

@@ -15,7 +15,8 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from mecp_env.policies.active import AHEAD_M, InformationWeights, Triggers
+from mecp_env.planning.goal_list import AHEAD_M
+from mecp_env.policies.active import InformationWeights, Triggers
 from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT
 
 NEAR_M = 10.0  # a length that is large for the network

@@ -13,6 +13,7 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.messages import NO_ID
 
+AHEAD_M = 4.0  # where a deviation of the heading counts as one of the position
 INTEGERS = ("kind", "room", "level", "visits", "door")  # columns of `Goals`
 LENGTHS = ("size_m", "path_m", "sigma_m", "sigma_rad", "gain_nat")
 
@@ -107,7 +108,7 @@ class Goals:
     def actions(self, choices: int, apart: bool) -> Ints:
         """(g,) the action of each goal; if they are `apart`, known ground and waiting have the last of all `choices`.
 
-        So the last action always waits, and the one before it drives to the best place.
+        So where waiting is offered, the last action waits, and the one before it drives to the best place.
         """
         rows = np.arange(len(self))
         return np.where(self.kind < PLACE, rows, rows + choices - len(self)) if apart else rows
@@ -124,6 +125,12 @@ class Goals:
         kinds = dict.fromkeys(INTEGERS, np.int64) | dict.fromkeys(LENGTHS, np.float64)
         columns: Any = {name: np.array([getattr(goal, name) for goal in goals], kind) for name, kind in kinds.items()}
         return cls(p_map, **columns)
+
+
+def drawing_sigma(sigma_m: Array, sigma_rad: Array) -> Array:
+    """(k,) m: standard deviation of where the robot draws a wall 4 m ahead, by those of its position and heading."""
+    drawn: Array = np.hypot(sigma_m, AHEAD_M * sigma_rad)
+    return drawn
 
 
 @dataclass(frozen=True, slots=True)

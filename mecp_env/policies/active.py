@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError
+from mecp_env.planning.goal_list import drawing_sigma
 from mecp_env.policies.explorers import Gain, NextBestView
 from mecp_env.policies.registry import GAIN, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, WAIT, Mask, choices, of_kind
 
@@ -23,14 +24,7 @@ SETTINGS: Mapping[str, Any] = {
     "planning": {"known_ground": {"places": 8, "wait_steps": 5}},
     "observation": {"uncertainty": True},
 }
-AHEAD_M = 4.0
 RECOGNISED = 2  # column of `localisation`
-
-
-def drawing_sigma(sigma_m: Array, sigma_rad: Array) -> Array:
-    """(k,) m: standard deviation of where the robot draws a wall 4 m ahead, by those of its position and heading."""
-    drawn: Array = np.hypot(sigma_m, AHEAD_M * sigma_rad)
-    return drawn
 
 
 def sigma_now(pose_cov: Floats) -> float:

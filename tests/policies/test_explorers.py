@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
+from mecp_env.planning.goal_list import AHEAD_M
 from mecp_env.policies.active import (
-    AHEAD_M,
     InformationWeights,
     Pause,
     Returning,
