@@ -81,6 +81,8 @@ def one_each(names: list[str], cells: list[str]) -> list[str]:
 
 def number(word: str) -> float:
     """A number; nan where a word says that there is none. Raises `ValueError`."""
+    if not word:
+        return math.nan
     try:
         return float(word)
     except ValueError:

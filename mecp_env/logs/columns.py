@@ -15,7 +15,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
-from mecp_env.logs.readings import Geometry, Sweep
+from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Sweep
 
 STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds"}
 HEADINGS = {"heading", "theta", "yaw", "th"}
@@ -128,11 +128,11 @@ class Columns:
 
     def sweep(self, words: list[str], order: int) -> Sweep:
         """That of a row. Raises `ValueError`."""
-        there = [at for at in self.readings if at < len(words)]
+        there = [words[at] for at in self.readings if at < len(words)]
         if len(words) > len(self.names) or len(there) < LEAST_SHARE * len(self.readings):
             raise ValueError
         ranges = np.full(len(self.readings), math.nan)
-        ranges[: len(there)] = np.fromiter((number(words[at]) for at in there), np.float64, len(there))
+        ranges[: len(there)] = np.fromiter(map(number, there), np.float64, len(there))
         ranges *= self.place.units[self.readings]
         return Sweep(self.place.time(words), ranges, self.geometry, self.place.pose(words), order=float(order))
 
@@ -168,8 +168,8 @@ def _readings(names: list[str], others: set[int]) -> list[int]:
     """The columns of readings: what most names begin with. Raises `LogError`."""
     stem = Counter(map(_stem, names)).most_common(1)[0][0]
     readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in others]
-    if not 2 <= len(readings) <= MOST_BEAMS:
-        raise LogError(f"first row has {len(readings)} readings, 2 to {MOST_BEAMS} needed; {EXPECTED}")
+    if not FEWEST_BEAMS <= len(readings) <= MOST_BEAMS:
+        raise LogError(f"first row has {len(readings)} readings, {FEWEST_BEAMS} to {MOST_BEAMS} needed; {EXPECTED}")
     return readings
 
 
