@@ -185,6 +185,7 @@ class EnvConfig(Settings):
     observation: Annotated[ObservationConfig, BeforeValidator(partial(as_section, "observation"))] = ObservationConfig()
     reward: Annotated[RewardConfig, BeforeValidator(partial(as_section, "reward"))] = RewardConfig()
     end: EndConfig = EndConfig()
+    info_texts: bool = True  # without, `info` has numbers alone, as TorchRL's `GymEnv(id, num_envs=n)` needs
 
     @classmethod
     def build(cls, config: Self | Mapping[str, Any] | None = None, **keywords: Any) -> Self:

@@ -335,7 +335,7 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         episode, terms = self._started(), self._terms
         return {
             "period": episode.metrics.steps,
-            "event": "",
+            **({"event": ""} if self.config.info_texts else {}),
             "building": self._true_world.building,
             "truth_pose": episode.metrics.T_map_robot.copy(),
             "truth_room": self._true_world.truth.room_at(self._true_world.T_world_robot[:2]),

@@ -166,8 +166,8 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         observation, _, terminated, truncated, info = steps[-1]
         if observation is UNSEEN or (event != "ended" and not terminated):
             observation, info = self.base.observation(), info | self.base.info()
-        own = {"event": event, "periods": len(steps), "goals": self.base.goals_left}
-        info = info | own | {"action_mask": self._mask_in_info()}
+        own = {"periods": len(steps), "goals": self.base.goals_left, "action_mask": self._mask_in_info()}
+        info = info | own | ({"event": event} if self.base.config.info_texts else {})
         return observation, sum(step[1] for step in steps), terminated, truncated, info
 
 

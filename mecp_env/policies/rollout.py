@@ -196,7 +196,7 @@ def options_of(policy: Policy) -> dict[str, Any]:
         EnvConfig.build(fields)
     except ConfigError as error:
         raise ConfigError(f"policy: {name!r:.80}: settings: {error}") from None
-    return fields
+    return fields | {"info_texts": True}  # the event of a drive is shown and counted
 
 
 def try_action(env: Env, policy: Policy, name: str) -> None:

@@ -78,6 +78,15 @@ def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts
             env.reset()
 
 
+@pytest.mark.parametrize("actions", ACTIONS)
+def test_info_is_numbers_alone_where_texts_are_left_out(actions):
+    env = make(actions=actions, info_texts=False, max_steps=40)
+    _, first = env.reset(seed=3)
+    *_, info = env.step(env.action_space.sample())
+    assert all(np.asarray(value).dtype.kind in "biuf" for value in (first | info).values())
+    assert form(make(actions=actions, max_steps=40).reset(seed=3)[1] | {"event": ""}) == form(first | {"event": ""})
+
+
 def budget_in(seen):
     if isinstance(seen, dict):
         return float(seen["budget"][0])
