@@ -1,7 +1,5 @@
 """The tasks of active SLAM: rows of known ground and waiting, the columns of uncertainty, and lost episodes."""
 
-from __future__ import annotations
-
 import csv
 import subprocess
 import sys
@@ -18,7 +16,7 @@ from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
 from mecp_env.policies.rollout import EpisodeTask, run_episode
 from mecp_env.policies.setting import Setting
-from tests.env.helpers import episode_of, same
+from tests.env.helpers import episode_of, same, until_over
 
 HALLS = "mecp_env/ActiveHalls-v0"
 
@@ -97,10 +95,7 @@ def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
     env = make(max_steps=3, reward="active_terms")
     env.reset(seed=0, options={"building": 0})
     episode_of(env).pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
-    over = False
-    while not over:
-        *_, terminated, truncated, info = env.step(int(env.unwrapped.goals.kind.tolist().index(WAIT)))
-        over = terminated or truncated
+    *_, (*_, info) = until_over(env, lambda _: int(env.unwrapped.goals.kind.tolist().index(WAIT)))
     figures = env.unwrapped.summary()
     misplaced = (figures["coverage"] - figures["correct_coverage"]) * figures["free_area_m2"]
     assert info["lost"] is True
@@ -157,10 +152,7 @@ def test_a_random_robot_leaves_much_to_learn_and_the_nearest_goal_sees_all() -> 
     rng, ends = np.random.default_rng(0), []
     for building in range(6):
         env.reset(seed=building, options={"building": building})
-        over = False
-        while not over:
-            *_, terminated, truncated, info = env.step(int(rng.integers(5)))
-            over = terminated or truncated
+        *_, (*_, info) = until_over(env, lambda _: int(rng.integers(5)))
         ends.append(info["coverage"])
     assert np.mean(ends) < 0.7
     setting = Setting("easy", "validation", "slam", 500)
