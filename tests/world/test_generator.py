@@ -1,7 +1,5 @@
 """Generated buildings match their specification, for every seed."""
 
-from __future__ import annotations
-
 import math
 from collections import Counter
 from collections.abc import Sequence
