@@ -1,7 +1,5 @@
 """The scripts of `agents/` run from start to end with small settings."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess
