@@ -1,7 +1,5 @@
 """Shards of every experiment, run apart and in another order, give the figures of a single run to the bit."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from pathlib import Path
@@ -38,10 +36,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
         },
     ),
     "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 1}}),
-    "consistency": (
-        {},
-        {"consistency.LAYOUT": "two_rooms", "consistency.DRIVES": {"per_metre": 1, "skid_steer": 1}},
-    ),
+    "consistency": ({}, {"consistency.LAYOUT": "two_rooms", "consistency.DRIVES": {"per_metre": 1, "skid_steer": 1}}),
     "explorers": ({}, {"explorers.SEEDS": {"two_rooms": 2}, "explorers.MAX_STEPS": 30}),
     "features": ({"quick": True}, {"features.shipped_layouts": lambda: ("two_rooms", "twins")}),
     "filters": ({"quick": True}, {"filters.READINGS": "per_step_1_m", "filters.LANDMARKS": (25,)}),
