@@ -1,9 +1,5 @@
 """The tasks of active SLAM: rows of known ground and waiting, the columns of uncertainty, and lost episodes."""
 
-import csv
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -131,9 +127,6 @@ def test_a_drive_ends_when_the_pose_is_searched_for_and_open_floor_is_offered() 
     assert moved > 0.3 or info["localised"]
 
 
-ROOT = Path(__file__).parents[2]
-
-
 def test_it_is_small_and_flat_and_can_be_overridden() -> None:
     env = gymnasium.make("mecp_env/First-v0")
     config = env.get_wrapper_attr("config")
@@ -158,19 +151,3 @@ def test_a_random_robot_leaves_much_to_learn_and_the_nearest_goal_sees_all() -> 
     setting = Setting("easy", "validation", "slam", 500)
     nearest = [run_episode(EpisodeTask("nearest", building, setting)).figures["coverage"] for building in range(3)]
     assert min(nearest) > 0.97
-
-
-@pytest.mark.slow
-def test_the_script_writes_model_and_curve(tmp_path: Path) -> None:
-    pytest.importorskip("sb3_contrib", reason="needs the extra rl")
-    for algorithm, steps in (("ppo", "2000"), ("maskable_ppo", "500")):
-        out = tmp_path / algorithm
-        line = [sys.executable, "agents/train_first.py", "--algorithm", algorithm, "--steps", steps, "--buildings", "1"]
-        subprocess.run([*line, "--environments", "2", "--out", str(out)], cwd=ROOT, check=True, capture_output=True)
-        with (out / "seed-0" / "progress.csv").open() as file:
-            rows = list(csv.DictReader(file))
-        assert int(rows[0]["steps"]) == 0
-        assert int(rows[-1]["steps"]) >= int(steps)
-        assert 0.0 < float(rows[-1]["coverage"]) <= 1.0
-        assert (out / "seed-0" / "model.zip").stat().st_size > 10_000
-        assert (out / "curve.png").stat().st_size > 10_000
