@@ -4,11 +4,13 @@ import sys
 import tempfile
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from benchmarks import against, start
+from benchmarks import against, in_tree, start
 from benchmarks.common import Options
 from benchmarks.trees import WORKING_TREE, TreeError, TreeWorker
+from mecp_env.planning.breadth_first import BreadthFirst
 
 needs_git = pytest.mark.skipif(not (WORKING_TREE / ".git").exists(), reason="not in a git clone")
 
@@ -65,6 +67,16 @@ def test_blocks_with_a_compilation_do_not_count() -> None:
     assert figures["steps_per_s"] == pytest.approx(10 / 1.1)
     assert figures["steps_per_s_against"] == pytest.approx(10 / 2.2)
     assert figures["same_observations"] == pytest.approx(2 / 3)
+
+
+def test_the_driver_chooses_as_the_breadth_first_explorer() -> None:
+    rng, policy = np.random.default_rng(0), BreadthFirst()
+    for _ in range(300):
+        goals = rng.integers(0, 4, (32, 9)).astype(np.float32)
+        goals[:, in_tree.PATH] = rng.uniform(0.5, 9.0, 32)
+        goals[:, in_tree.VALID] = np.arange(32) < rng.integers(0, 33)
+        mask = goals[:, in_tree.VALID] > 0.5
+        assert in_tree.breadth_first(goals, mask) == policy.act({"goals": goals}, mask)
 
 
 def test_the_first_start_counts_the_files_of_an_empty_cache(monkeypatch: pytest.MonkeyPatch, temporary: Path) -> None:
