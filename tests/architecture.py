@@ -1,7 +1,5 @@
 """The shape of the source tree in figures, which test_architecture.py bounds: `python -m tests.architecture`."""
 
-from __future__ import annotations
-
 import ast
 import io
 import tokenize
@@ -36,8 +34,13 @@ def sources(tree: str) -> dict[Path, ast.Module]:
     return {path: ast.parse(path.read_text()) for path in sorted((ROOT / tree).rglob("*.py"))}
 
 
-def functions(tree: str) -> Iterator[Function]:
+@cache
+def functions(tree: str) -> tuple[Function, ...]:
     """All functions and methods below a folder."""
+    return tuple(_functions(tree))
+
+
+def _functions(tree: str) -> Iterator[Function]:
     for path, module in sources(tree).items():
         for node in ast.walk(module):
             if isinstance(node, DEFINITIONS):

@@ -1,7 +1,5 @@
 """The command lines that documents, results, help texts and docstrings show to a user."""
 
-from __future__ import annotations
-
 import ast
 import json
 import re

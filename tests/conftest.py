@@ -4,8 +4,6 @@ Several wait for each other where other tests run beside. Tests of the threads s
 own; the golden hashes are those of the number that NumPy chooses.
 """
 
-from __future__ import annotations
-
 import gc
 import os
 import sys

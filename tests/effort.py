@@ -4,8 +4,6 @@ Bounds in seconds are stated for a quiet machine. Here they are checked in proce
 of work timed beside, against what it takes on that machine. Memory is the peak of this process while it works.
 """
 
-from __future__ import annotations
-
 import re
 import resource
 import time

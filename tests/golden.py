@@ -5,8 +5,6 @@ processors with and without fused multiply-add, and products of matrices between
 processors. So the hashes are stored by a probe of these functions, and `--write` stores those of each of `KERNELS`.
 """
 
-from __future__ import annotations
-
 import argparse
 import hashlib
 import json

@@ -1,7 +1,5 @@
 """Where a test depends on the inside of the package: carriers that it builds itself, private names that it reads."""
 
-from __future__ import annotations
-
 import ast
 from collections.abc import Iterator
 from functools import cache

@@ -3,8 +3,6 @@
 Each is a process of its own, with its own memory, environment variables and exit code, as one that a shell starts.
 """
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import json
@@ -15,7 +13,7 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, Self
 
 LONGEST = 1 << 17  # bytes of a message
 GIVE_UP_S = 300.0
@@ -74,7 +72,7 @@ class Launcher:
                 cwd=path,
             )
 
-    def __enter__(self) -> Launcher:
+    def __enter__(self) -> Self:
         return self
 
     def __exit__(self, *_: object) -> None:

@@ -7,8 +7,6 @@ from a cache. Results are kept in a folder, so that the same command continues a
 survivors again, with the tests as they are now.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import json

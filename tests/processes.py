@@ -1,13 +1,22 @@
-"""Whether processes run still. Imports little: tests/core starts many processes, and each imports its tests."""
+"""Processes: what one prints, whether others run still. Imports little, as many processes import it."""
 
-from __future__ import annotations
-
+import os
+import subprocess
+import sys
 import time
 from pathlib import Path
 
 import pytest
 
 needs_linux = pytest.mark.skipif(not Path("/proc/self/smaps_rollup").exists(), reason="reads /proc")
+
+
+def run_python(code: str, **environment: str) -> str:
+    """What `python -c CODE` prints, which has the root of the clone to import from."""
+    variables = os.environ | {"PYTHONPATH": str(Path(__file__).parent.parent)} | environment
+    done = subprocess.run([sys.executable, "-c", code], env=variables, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout + done.stderr[-3000:]
+    return done.stdout
 
 
 def alive(pid: int) -> bool:

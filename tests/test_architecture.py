@@ -1,7 +1,5 @@
 """The rules of the source tree: few files at the root, no import cycles, bounded functions (CONTRIBUTING.md)."""
 
-from __future__ import annotations
-
 import pytest
 
 from mecp_env.core.jit import NOT_COMPILED

@@ -1,7 +1,5 @@
 """Every command line that is shown to a user parses."""
 
-from __future__ import annotations
-
 import importlib
 from collections.abc import Callable, Iterator
 from itertools import chain

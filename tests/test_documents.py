@@ -1,7 +1,5 @@
 """The documentation matches the code: links, commands, names of functions and tests, versions."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import tomllib

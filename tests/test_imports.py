@@ -1,25 +1,16 @@
 """Import rules (import-linter), and the cost of `import mecp_env`."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 from pathlib import Path
+
+from tests.processes import run_python
 
 ROOT = Path(__file__).parent.parent
 HEAVY = ("numba", "scipy", "matplotlib", "pygame", "pymunk", "shapely", "PIL", "torch", "pydantic")
 
 
-def run_python(code: str) -> str:
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
-
-
 def test_the_import_contracts_hold() -> None:
-    run_python(
-        "import sys; sys.path.insert(0, '.'); from importlinter.cli import lint_imports; sys.exit(lint_imports())"
-    )
+    code = "import os, sys; from importlinter.cli import lint_imports; sys.exit(lint_imports())"
+    run_python(code.replace("sys;", f"sys; os.chdir({str(ROOT)!r});"))
 
 
 def test_the_package_and_the_estimator_at_hand_load_nothing_heavy() -> None:

@@ -1,7 +1,5 @@
 """The mutants of `python -m tests.mutants`: which there are, and that each is another program of as many lines."""
 
-from __future__ import annotations
-
 import ast
 from pathlib import Path
 

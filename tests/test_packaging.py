@@ -1,7 +1,5 @@
 """What an installation contains."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import subprocess

@@ -1,7 +1,5 @@
 """The pictures of docs/one-scan.md are those that the command on the page draws."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What is published with a release, as far as it can be checked without the tools of the extra `publish`."""
 
-from __future__ import annotations
-
 import hashlib
 import json
 from typing import Any

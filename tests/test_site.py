@@ -1,7 +1,5 @@
 """The site describes every environment id and every public name (`sphinx-build -W` checks its links)."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import re

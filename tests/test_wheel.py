@@ -1,7 +1,5 @@
 """An installed wheel, outside the repository: a fresh environment in a folder with a space in its name."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import site

@@ -1,7 +1,5 @@
 """Tables of the site fit a window of 1280 px: what may break, how wide ones are split, and a browser's word for it."""
 
-from __future__ import annotations
-
 import importlib
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Every program of docs/your-library.md runs as it is printed, where its library is installed."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess

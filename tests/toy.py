@@ -1,7 +1,5 @@
 """A toy world for grid and planning: rectangles, exact rays, exact segments, a point robot. No estimator."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,8 +11,8 @@ from mecp_env.slam.grid import GridPainter
 from mecp_env.slam.messages import Belief, EdgeLabel, MapPolygon, MergedScan, RoomGraph, Segments, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make
+from tests.slam.scans import distances
 
-WALL_M = 0.12
 ROOM_A = (0.0, 0.0, 6.0, 4.0)  # x0, y0, x1, y1
 ROOM_B = (6.12, 0.0, 32.12, 4.0)
 PASSAGE = (6.0, 1.5, 6.12, 2.4)
@@ -46,15 +44,8 @@ def is_free(p_world: np.ndarray) -> np.ndarray:
 
 def cast_rays(T_world_robot: np.ndarray, faces: np.ndarray = FACES) -> tuple[np.ndarray, np.ndarray]:
     """Range (720,) and face (720,) of each beam."""
-    angle = BEARINGS + T_world_robot[2]
-    d = np.stack([np.cos(angle), np.sin(angle)], axis=1)[:, None]
-    a, e = faces[None, :, 0] - T_world_robot[:2], (faces[:, 1] - faces[:, 0])[None]
-    across = d[..., 0] * e[..., 1] - d[..., 1] * e[..., 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        t = (a[..., 0] * e[..., 1] - a[..., 1] * e[..., 0]) / across
-        u = (a[..., 0] * d[..., 1] - a[..., 1] * d[..., 0]) / across
-    t = np.where((np.abs(across) > 1e-12) & (t > 0) & (u >= 0) & (u <= 1), t, np.inf)
-    return t.min(axis=1), t.argmin(axis=1)
+    far = distances(faces - T_world_robot[:2], BEARINGS + T_world_robot[2])
+    return far.min(axis=1), far.argmin(axis=1)
 
 
 def look(

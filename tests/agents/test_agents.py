@@ -1,7 +1,6 @@
 """The scripts of `agents/` run from start to end with small settings."""
 
-from __future__ import annotations
-
+import csv
 import importlib.util
 import os
 import subprocess
@@ -72,6 +71,23 @@ def test_training_ends_with_weights(launcher: Launcher, algorithm: str, tmp_path
     )
     assert "on the validation split" in printed
     assert (tmp_path / "w.safetensors").stat().st_size > 10_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("algorithm", "steps"), [("ppo", 520), ("maskable_ppo", 200)])
+def test_the_first_training_writes_model_and_curve(
+    launcher: Launcher, algorithm: str, steps: int, tmp_path: Path
+) -> None:
+    pytest.importorskip("sb3_contrib")
+    options = f"--algorithm {algorithm} --steps {steps} --buildings 1 --environments 2 --max-steps 60 --out {tmp_path}"
+    run_script(launcher, "train_first", tmp_path, *options.split())
+    with (tmp_path / "seed-0" / "progress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert int(rows[0]["steps"]) == 0
+    assert int(rows[-1]["steps"]) >= steps
+    assert 0.0 < float(rows[-1]["coverage"]) <= 1.0
+    assert (tmp_path / "seed-0" / "model.zip").stat().st_size > 10_000
+    assert (tmp_path / "curve.png").stat().st_size > 10_000
 
 
 @pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "recurrent_ppo"])

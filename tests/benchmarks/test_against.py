@@ -1,7 +1,5 @@
 """Comparisons with another commit: what is measured, what an error says, and that nothing is left behind."""
 
-from __future__ import annotations
-
 import sys
 import tempfile
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The benchmark `association_time`: scans with clutter, and the sums of a race."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

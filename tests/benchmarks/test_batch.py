@@ -1,7 +1,5 @@
 """The batch optimum of GTSAM against SciPy, and the benchmarks that use it."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

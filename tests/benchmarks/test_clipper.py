@@ -1,7 +1,5 @@
 """The relaxation of CLIPPER."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

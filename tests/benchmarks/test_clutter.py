@@ -1,7 +1,5 @@
 """The benchmark `clutter`: corners that are missed or invented, the same ones for every associator."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np

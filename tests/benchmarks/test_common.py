@@ -1,7 +1,5 @@
 """The frame of the benchmarks: intervals, tables, the gate and the command line."""
 
-from __future__ import annotations
-
 import importlib
 import json
 import sys

@@ -1,7 +1,5 @@
 """Recorded drives: the estimator that replays a drive gives the results of the environment's estimator."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from benchmarks.drives import RecordingEnv, replay

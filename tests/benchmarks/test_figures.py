@@ -1,7 +1,5 @@
 """The benchmark `figures`: the mean of Gaussians that it draws, and pictures with metres and legends, small enough."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 

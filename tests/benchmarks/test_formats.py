@@ -1,7 +1,5 @@
 """The benchmark of the formats: figures of each format, rows, tables."""
 
-from __future__ import annotations
-
 from benchmarks import formats
 
 

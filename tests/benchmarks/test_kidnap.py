@@ -1,7 +1,5 @@
 """The scores of the benchmark `kidnap`, on constructed outcomes and on a short drive."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

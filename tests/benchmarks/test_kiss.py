@@ -1,7 +1,5 @@
 """KISS-Matcher as an associator, with the package and with a stand-in."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib.util
 import sys

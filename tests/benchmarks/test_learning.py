@@ -1,7 +1,5 @@
 """The parts of the benchmark of training measure what their names state."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks.tables import flatten

@@ -1,7 +1,5 @@
 """The benchmark `loop`: single scans against a finished map, with the prior that was asked for."""
 
-from __future__ import annotations
-
 import dataclasses
 
 import numpy as np

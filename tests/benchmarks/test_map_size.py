@@ -1,7 +1,5 @@
 """The benchmark `map_size`: copies of a map are a map."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

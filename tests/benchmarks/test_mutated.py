@@ -1,7 +1,5 @@
 """The benchmark `mutated`: what counts as a fault, and a few inputs of each kind."""
 
-from __future__ import annotations
-
 import math
 import time
 

@@ -1,7 +1,5 @@
 """The benchmark `noise`: scans that are cut as a poorer laser would take them, and the figures of one drive."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Reports and figures of a part of what a benchmark measures: what is missing is a dash, and no claim holds by it."""
 
-from __future__ import annotations
-
 import json
 from typing import Any
 

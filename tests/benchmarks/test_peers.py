@@ -1,7 +1,5 @@
 """The comparison with other simulators: what is compared, and what happens without them."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import pytest

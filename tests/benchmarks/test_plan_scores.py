@@ -1,7 +1,5 @@
 """Scores of imported plans against labels; and those of the real plans with labels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

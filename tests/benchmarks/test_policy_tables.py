@@ -1,7 +1,5 @@
 """The tables of the documents are those of the result."""
 
-from __future__ import annotations
-
 import json
 import re
 

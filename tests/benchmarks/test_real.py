@@ -1,7 +1,5 @@
 """The benchmark `real`: a tiny part where the data are there, and what it says where they are not."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Records: a replay gives the figures of the drive itself, to the bit; a wrong file is one error and stays as it is."""
 
-from __future__ import annotations
-
 import dataclasses
 import io
 import json

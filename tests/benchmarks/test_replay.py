@@ -1,7 +1,5 @@
 """The benchmark of the replay."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """The benchmark `returns`: rank correlations, pairs that are apart, and what makes it fail."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The scale benchmark continues the same exploration from the states that it kept."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import pytest

@@ -1,7 +1,5 @@
 """Shards of every experiment, run apart and in another order, give the figures of a single run to the bit."""
 
-from __future__ import annotations
-
 import importlib
 import json
 from pathlib import Path
@@ -29,6 +27,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
         {"quick": True},
         {
             "claims.DRIVES": {"two_rooms": 2},
+            "claims.IDEAL": {"two_rooms": 2},
             "claims.LOOPS": {"two_rooms": 2},
             "claims.POSES": 12,
             "claims.shipped_layouts": lambda: ("two_rooms",),
@@ -37,11 +36,8 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
             "loop.FIRST_SCAN": 2,
         },
     ),
-    "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 1}}),
-    "consistency": (
-        {},
-        {"consistency.LAYOUT": "two_rooms", "consistency.DRIVES": {"per_metre": 1, "skid_steer": 1}},
-    ),
+    "clutter": ({}, {"clutter.DRIVES": {"two_rooms": 1}, "clutter.CELLS": ((1.0, 0), (0.9, 20))}),
+    "consistency": ({}, {"consistency.LAYOUT": "two_rooms", "consistency.DRIVES": {"per_metre": 1, "skid_steer": 1}}),
     "explorers": ({}, {"explorers.SEEDS": {"two_rooms": 2}, "explorers.MAX_STEPS": 30}),
     "features": ({"quick": True}, {"features.shipped_layouts": lambda: ("two_rooms", "twins")}),
     "filters": ({"quick": True}, {"filters.READINGS": "per_step_1_m", "filters.LANDMARKS": (25,)}),

@@ -1,7 +1,5 @@
 """The soak benchmark watches what it names, and fails where a bound is exceeded."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

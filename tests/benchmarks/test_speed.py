@@ -1,7 +1,5 @@
 """The parts of the speed benchmark measure what their names state."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import multiprocessing
 from collections.abc import Iterator
 from multiprocessing.forkserver import _forkserver

@@ -1,7 +1,5 @@
 """The benchmark `uncertainty`: its points, paired prices, tables and figure."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The parts of the vector benchmark measure what their names state."""
 
-from __future__ import annotations
-
 import pytest
 
 from benchmarks import vector

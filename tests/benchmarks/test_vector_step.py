@@ -1,7 +1,5 @@
 """The benchmark of Gymnasium's own figures: every count has a rate, and its ratio to a single environment."""
 
-from __future__ import annotations
-
 from benchmarks import vector_step
 
 

@@ -1,7 +1,5 @@
 """The benchmark `worlds`: one whole building, and the files kept of a failure."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 import re

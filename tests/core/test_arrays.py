@@ -1,7 +1,5 @@
 """Look-ups in arrays of ids."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from mecp_env.core.arrays import find_rows, rows_by_id

@@ -1,7 +1,5 @@
 """Units on a Ray cluster: the results of processes here, to the bit; every fault in one line."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

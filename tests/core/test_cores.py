@@ -1,7 +1,5 @@
 """How many cores this process may use: affinity and cgroup limits of both versions, from files as Linux writes them."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

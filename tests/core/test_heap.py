@@ -1,17 +1,14 @@
 """Freed memory is returned to the system where the C library can."""
 
-from __future__ import annotations
-
 import ctypes
 import platform
 import runpy
-import subprocess
-import sys
 
 import pytest
 
 from benchmarks.process_use import memory_mb
 from mecp_env.core import processes
+from tests.processes import run_python
 
 GLIBC = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in its own way")
 AGAIN = """
@@ -38,7 +35,7 @@ def test_freed_memory_between_blocks_in_use_is_returned() -> None:
 
 @GLIBC
 def test_large_arrays_are_kept_for_later_where_that_is_asked_for() -> None:
-    first, again = map(int, subprocess.check_output([sys.executable, "-c", AGAIN], text=True).split())
+    first, again = map(int, run_python(AGAIN).split())
     assert first > 10 * again
 
 

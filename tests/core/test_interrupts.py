@@ -1,7 +1,5 @@
 """Ctrl-C is never lost, and ends the process of the command with one line and exit code 130."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess
@@ -169,11 +167,7 @@ sys.exit(at_end(0))
 
 @pytest.mark.parametrize(
     ("script", "code", "last"),
-    [
-        (CAUGHT, 130, []),
-        (LATE, 130, []),
-        ("raise ValueError('other')", 1, ["ValueError: other"]),
-    ],
+    [(CAUGHT, 130, []), (LATE, 130, []), ("raise ValueError('other')", 1, ["ValueError: other"])],
 )
 def test_the_end_of_the_command_is_told_by_its_exit_code(script: str, code: int, last: list[str]) -> None:
     ended = run("-c", AS_COMMAND + script)

@@ -1,7 +1,5 @@
 """Products as plain loops, against NumPy."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from numpy.typing import NDArray

@@ -1,7 +1,5 @@
 """Files are written whole; what killed writes left is removed, and nothing else."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

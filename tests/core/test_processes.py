@@ -1,11 +1,7 @@
 """Worker processes: what they inherit, how they end, and what is said of one that dies (tests/vector has more)."""
 
-from __future__ import annotations
-
 import os
 import signal
-import subprocess
-import sys
 import time
 import traceback
 from typing import Any
@@ -14,7 +10,7 @@ import pytest
 
 from mecp_env.core import processes
 from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerPool
-from tests.processes import gone_within, needs_linux
+from tests.processes import gone_within, needs_linux, run_python
 
 pytestmark = needs_linux
 
@@ -84,8 +80,7 @@ worker.stop()
 
 def test_a_worker_of_a_fork_server_is_the_same() -> None:
     """In a process of its own: a server that another library started has that library's settings."""
-    done = subprocess.run([sys.executable, "-c", ASK_A_FORK_SERVER], capture_output=True, text=True)
-    assert done.stdout == "True True {'1'}\n", done.stderr
+    assert run_python(ASK_A_FORK_SERVER) == "True True {'1'}\n"
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Rigid transforms of the plane obey the group axioms; angles are wrapped to (-pi, pi]."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,13 +1,12 @@
 """Snapshots in files: every value to the last bit, readable without the package, one error for whatever is wrong."""
 
-from __future__ import annotations
-
 import gc
 import io
 import json
 import os
 import tracemalloc
 import zipfile
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,33 +14,20 @@ import numpy as np
 import pytest
 
 from mecp_env.core.snapshot import FileKind, StateError, decode, encode, load_snapshot, save_snapshot
+from mecp_env.episode.observations import TravelledPath
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.messages import FEATURE
+from mecp_env.slam.messages import FEATURE, Cell, CornerKind, FeatureTable
 from mecp_env.slam.rooms.doors import RoomLimits
+from mecp_env.world.config import LaserConfig
 from tests.env.helpers import same
 
 KIND = FileKind("mecp_env test", 3, "0.1.0")
-VALUES = [
-    None,
-    -0.0,
-    float("nan"),
-    float("inf"),
-    2**70,
-    1.0,
-    1,
-    "\u00e4\U0001f600\x00",
-    np.float64(0.1),
-    np.bool_(True),
-    np.arange(6.0).reshape(2, 3),
-    np.array(3.5),
-    np.empty((0, 2)),
-    np.zeros((7, 0, 0), np.int16),
-    np.zeros(3, FEATURE),
-    np.array([True, False]),
-    np.array(["a", "bc"]),
-    np.random.default_rng(3),
-    {(1, 2): [np.int64(2**62)]},
-]
+VALUES = [None, True, 1, 1.0, -0.0, float("nan"), float("inf"), 2**70, "\u00e4\U0001f600\x00", [], (), {"@list": 1}]
+VALUES += [(1, (2.0, "x")), {1: "a", (2, 3): [np.int64(2**62)]}, {3, 1, 2}, frozenset({2}), np.random.default_rng(3)]
+VALUES += [np.float64(0.1), np.bool_(True), np.array(3.5), np.array([True, False]), np.array(["a", "bc"])]
+VALUES += [np.arange(6.0).reshape(2, 3), np.asfortranarray(np.arange(6.0).reshape(2, 3)), np.empty((0, 2))]
+VALUES += [np.zeros((7, 0, 0), np.int16), np.zeros(3, FEATURE), FeatureTable(), TravelledPath()]
+VALUES += [Cell.DOOR, CornerKind.JAMB, LaserConfig(preset="ideal")]
 
 
 @pytest.fixture
@@ -156,18 +142,58 @@ def test_what_is_written_can_be_read_however_well_it_packs(path: Path) -> None:
     assert len(decode(load_snapshot(path, KIND))) == 10_000_000
 
 
+def test_what_is_shared_or_read_only_stays_so_cycles_hold_and_a_generator_continues():
+    array, rng = np.zeros(3), np.random.default_rng(5)
+    array.setflags(write=False)
+    rng.normal(size=3)
+    pair = [array, array, (array,), rng]
+    pair.append(pair)
+    again = decode(encode(pair))
+    assert again[0] is again[1] is again[2][0]
+    assert not again[0].flags.writeable
+    assert again[3].normal() == rng.normal()
+    assert again[4] is again
+
+
+@dataclass
+class Foreign:
+    x: int = 1
+
+
 @pytest.mark.parametrize(
-    "data",
-    [
-        {"@object": ["mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}]},
-        {"@object": ["mecp_env.cli.main:Command", {}]},
-        {"@keep": 3},
-        {"@frozen": [1]},
-    ],
+    "value",
+    [print, lambda: 1, Foreign(), object(), np.array([None]), (n for n in "ab")],
+    ids=lambda value: type(value).__name__,
 )
-def test_only_our_classes_and_kinds_are_made(data: Any) -> None:
+def test_what_no_state_may_hold_is_refused(value):
+    with pytest.raises(TypeError):
+        encode(value)
+
+
+MESSAGES = "mecp_env.slam.messages"
+DAMAGED = [(1, 2), {}, {"@list": [], "@dict": []}, {"list": []}, {"@nothing": 1}, {"@list": 3}, {"@scalar": 3}]
+DAMAGED += [{"@same": number} for number in (3, -1, "x")]
+DAMAGED += [{"@object": content} for content in (3, ["os:system", {}], ["mecp_env.nowhere:X", {}])]
+DAMAGED += [{"@object": ["mecp_env.core.snapshot:encode", {}]}]
+DAMAGED += [{"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]}]
+DAMAGED += [{"@enum": [f"{MESSAGES}:FeatureTable", 1]}, {"@enum": [f"{MESSAGES}:Cell", 99]}]
+DAMAGED += [{"@settings": [f"{MESSAGES}:FeatureTable", {}]}, {"@dict": [[1]]}, {"@dict": [[{"@list": []}, 1]]}]
+DAMAGED += [{"@settings": ["mecp_env.world.config:LaserConfig", {"preset": "best"}]}]
+DAMAGED += [{"@object": ["mecp_env.cli.main:Command", {}]}, {"@keep": 3}, {"@frozen": [1]}]
+DAMAGED += [{"@generator": {"bit_generator": "PCG64"}}, {"@generator": None}, {"@array": None}, {"@array": [1]}]
+
+
+@pytest.mark.parametrize("data", DAMAGED, ids=str)
+def test_damaged_data_is_refused(data):
     with pytest.raises(StateError):
         decode(data)
+
+
+def test_no_class_but_ours_is_made() -> None:
+    """A connection that is made of a number closes it when it is collected."""
+    connection = "mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}
+    with pytest.raises(StateError):
+        decode({"@object": list(connection)})
     gc.collect()
     os.fstat(1)  # still open
 

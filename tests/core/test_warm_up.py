@@ -1,7 +1,5 @@
 """Compiling ahead: on first use only, in processes that never outlive it, and not in workers of a pool."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import signal

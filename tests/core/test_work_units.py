@@ -1,7 +1,5 @@
 """Units of work: what fails is named, what is finished is kept, and shards and resumed runs give the same bytes."""
 
-from __future__ import annotations
-
 import errno
 import json
 import math

@@ -1,7 +1,6 @@
 """Shared by the tests of the environment."""
 
-from __future__ import annotations
-
+from collections.abc import Callable, Iterator
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -37,6 +36,16 @@ def episode_of(env: gymnasium.Env) -> Any:
 def world_of(env: gymnasium.Env) -> Any:
     """The true world."""
     return env.unwrapped._true_world
+
+
+def until_over(env: gymnasium.Env, choose: Callable[[Any], Any], observation: Any = None) -> Iterator[Any]:
+    """The result of each step up to the end of the episode; `choose` gives the action for an observation."""
+    over = False
+    while not over:
+        row = env.step(choose(observation))
+        observation, _, terminated, truncated, _ = row
+        over = terminated or truncated
+        yield row
 
 
 def drive(env: gymnasium.Env, steps: int, seed: int = 0) -> list[tuple[Any, ...]]:

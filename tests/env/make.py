@@ -1,7 +1,5 @@
 """Builders of what the parts of an episode pass on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from mecp_env.episode.potentials import RewardInputs

@@ -1,7 +1,5 @@
 """The formats "flat" and "image" against plain twins from the format "dict" of the same episode."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

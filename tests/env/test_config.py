@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 from functools import partial
 from pathlib import Path
@@ -107,13 +105,6 @@ def test_a_layout_is_a_name_a_path_a_layout_or_a_dict(form, tmp_path):
     for config in (env.unwrapped.config, EnvConfig(layout=form(path)), EnvConfig.build({"layout": form(path)})):
         assert load_layout(config.layout) == load_layout("twins")
         assert EnvConfig.build(json.loads(config.to_json())) == config == again.unwrapped.config
-
-
-@pytest.mark.parametrize("config", [EnvConfig(), EnvConfig.paper(), EnvConfig.build(laser={"preset": "lms200"})])
-def test_json_both_ways(config):
-    again = EnvConfig.build(json.loads(config.to_json()))
-    assert (again, again.to_json()) == (config, config.to_json())
-    assert again.estimator_config == config.estimator_config
 
 
 def test_keywords_override_the_config_field_by_field():

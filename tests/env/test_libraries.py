@@ -1,7 +1,5 @@
 """Libraries that people train and record with take the environments as they are, in each format of the observation."""
 
-from __future__ import annotations
-
 import contextlib
 import itertools
 import warnings
@@ -15,7 +13,7 @@ from gymnasium import wrappers
 from gymnasium.wrappers import vector as vector_wrappers
 
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import SMALL, make
+from tests.env.helpers import SMALL, make, until_over
 
 LAYOUT = "mecp_env/Layout-v0"
 FORMATS = ("flat", "image")
@@ -58,11 +56,8 @@ def test_a_film_of_goal_actions_shows_every_control_step(tmp_path: Path) -> None
         make(render_mode="rgb_array", max_steps=12), str(tmp_path / "films"), disable_logger=True
     )
     env = GoalActions(recorder)
-    _, info = env.reset(seed=0)
-    over = False
-    while not over:
-        *_, terminated, truncated, info = env.step(0)
-        over = terminated or truncated
+    env.reset(seed=0)
+    *_, (*_, info) = until_over(env, lambda _: 0)
     assert len(recorder.recorded_frames) == info["period"] + 1
     env.close()
 

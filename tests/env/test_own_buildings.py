@@ -1,7 +1,5 @@
 """Buildings of a registered generator (docs/own-parts.md), and plans from a file or a folder (`FloorPlan-v0`)."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import sys

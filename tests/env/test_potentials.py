@@ -1,7 +1,5 @@
 """Potentials of the reward: formulas, more for better beliefs, nothing for detours, custom ones by name."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

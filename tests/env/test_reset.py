@@ -1,13 +1,9 @@
 """What an environment gives depends on its seed alone; tests/test_golden.py compares processes and threads."""
 
-from __future__ import annotations
-
-import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ResetNeeded
 
-from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.protocols import FullFilterWarning
 from tests.env.helpers import drive, episode_of, make, same, world_of
@@ -174,10 +170,3 @@ def test_true_identities_make_no_wrong_pair():
     assert summary["association_false"] == 0
     assert summary["association_recall"] > 0.98  # a corner that is off by more than its noise is left out
     assert summary["duplicates"] == 0
-
-
-def test_the_paper_runs_to_the_letter():
-    env = gymnasium.make("mecp_env/Layout-v0", config=EnvConfig.paper(layout="two_rooms"), actions="goal")
-    rows = explore(env)
-    assert rows[-1][2] or rows[-1][3]
-    assert env.unwrapped.summary()["rooms_found"] >= 1

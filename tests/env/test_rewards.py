@@ -1,7 +1,5 @@
 """Each term of the reward: formula and unit, more reward for better results, none for detours."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 from typing import Any
 

@@ -3,8 +3,6 @@
 The attempts use the true pose, which no agent has.
 """
 
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
@@ -21,7 +19,7 @@ from mecp_env.episode.rewards import TERMS
 from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import episode_of, world_of
+from tests.env.helpers import episode_of, until_over, world_of
 
 Array = NDArray[np.float64]
 Drive = Iterator[tuple[float, float]]
@@ -126,11 +124,8 @@ def attempt(name: str, seed: int, **keywords: Any) -> Episode:
     env, episode = MecpEnv(**keywords), Episode()
     env.reset(seed=seed)
     drive = ATTEMPTS[name](env, np.random.default_rng(seed))
-    over = False
-    while not over:
-        _, _, terminated, truncated, info = env.step(np.array(next(drive), np.float32))
+    for *_, info in until_over(env, lambda _: np.array(next(drive), np.float32)):
         episode.note(info)
-        over = terminated or truncated
     episode.weigh_up(env)
     return episode
 
@@ -144,10 +139,8 @@ def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
     for _ in range(waits):
         observation, *_, info = base.step(np.zeros(2, np.float32))
         episode.note(info)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
-        over = terminated or truncated
+    for _ in until_over(env, lambda seen: policy.act(seen, env.action_masks()), observation):
+        pass  # the callback notes each step
     episode.weigh_up(env.base)
     return episode
 

@@ -1,7 +1,5 @@
 """`Rooms-v0`: a new building at every reset, of a difficulty or of a list of them; the same one for the same seed."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 

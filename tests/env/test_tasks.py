@@ -1,11 +1,5 @@
 """The tasks of active SLAM: rows of known ground and waiting, the columns of uncertainty, and lost episodes."""
 
-from __future__ import annotations
-
-import csv
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -18,7 +12,7 @@ from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
 from mecp_env.policies.rollout import EpisodeTask, run_episode
 from mecp_env.policies.setting import Setting
-from tests.env.helpers import episode_of, same
+from tests.env.helpers import episode_of, same, until_over
 
 HALLS = "mecp_env/ActiveHalls-v0"
 
@@ -97,10 +91,7 @@ def test_a_lost_robot_pays_at_the_end_for_what_is_not_in_its_place() -> None:
     env = make(max_steps=3, reward="active_terms")
     env.reset(seed=0, options={"building": 0})
     episode_of(env).pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
-    over = False
-    while not over:
-        *_, terminated, truncated, info = env.step(int(env.unwrapped.goals.kind.tolist().index(WAIT)))
-        over = terminated or truncated
+    *_, (*_, info) = until_over(env, lambda _: int(env.unwrapped.goals.kind.tolist().index(WAIT)))
     figures = env.unwrapped.summary()
     misplaced = (figures["coverage"] - figures["correct_coverage"]) * figures["free_area_m2"]
     assert info["lost"] is True
@@ -136,9 +127,6 @@ def test_a_drive_ends_when_the_pose_is_searched_for_and_open_floor_is_offered() 
     assert moved > 0.3 or info["localised"]
 
 
-ROOT = Path(__file__).parents[2]
-
-
 def test_it_is_small_and_flat_and_can_be_overridden() -> None:
     env = gymnasium.make("mecp_env/First-v0")
     config = env.get_wrapper_attr("config")
@@ -157,28 +145,9 @@ def test_a_random_robot_leaves_much_to_learn_and_the_nearest_goal_sees_all() -> 
     rng, ends = np.random.default_rng(0), []
     for building in range(6):
         env.reset(seed=building, options={"building": building})
-        over = False
-        while not over:
-            *_, terminated, truncated, info = env.step(int(rng.integers(5)))
-            over = terminated or truncated
+        *_, (*_, info) = until_over(env, lambda _: int(rng.integers(5)))
         ends.append(info["coverage"])
     assert np.mean(ends) < 0.7
     setting = Setting("easy", "validation", "slam", 500)
     nearest = [run_episode(EpisodeTask("nearest", building, setting)).figures["coverage"] for building in range(3)]
     assert min(nearest) > 0.97
-
-
-@pytest.mark.slow
-def test_the_script_writes_model_and_curve(tmp_path: Path) -> None:
-    pytest.importorskip("sb3_contrib", reason="needs the extra rl")
-    for algorithm, steps in (("ppo", "2000"), ("maskable_ppo", "500")):
-        out = tmp_path / algorithm
-        line = [sys.executable, "agents/train_first.py", "--algorithm", algorithm, "--steps", steps, "--buildings", "1"]
-        subprocess.run([*line, "--environments", "2", "--out", str(out)], cwd=ROOT, check=True, capture_output=True)
-        with (out / "seed-0" / "progress.csv").open() as file:
-            rows = list(csv.DictReader(file))
-        assert int(rows[0]["steps"]) == 0
-        assert int(rows[-1]["steps"]) >= int(steps)
-        assert 0.0 < float(rows[-1]["coverage"]) <= 1.0
-        assert (out / "seed-0" / "model.zip").stat().st_size > 10_000
-        assert (out / "curve.png").stat().st_size > 10_000

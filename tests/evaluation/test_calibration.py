@@ -1,7 +1,5 @@
 """Calibration: known errors of odometry and laser are found, what scans do not tell keeps its default, by name."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 from typing import Any

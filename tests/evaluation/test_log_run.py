@@ -1,7 +1,5 @@
 """The estimator on a log: configuration by the laser, odometry, scans at rest, and what is kept."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

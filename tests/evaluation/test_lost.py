@@ -1,7 +1,5 @@
 """When an estimate counts as lost."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The checks of custom parts: ours pass, and each kind of mistake is named with its method."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

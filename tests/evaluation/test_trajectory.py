@@ -1,7 +1,5 @@
 """Trajectory scores against brute force, and their invariance under a change of the map frame."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """The curves of a training: drawn from its tables, also from damaged or short ones."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from PIL import Image

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import gymnasium as gym
 import numpy as np
 import pytest
@@ -10,11 +8,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
-from mecp_env.learning.encoder import (  # noqa: E402
-    make_network,
-    of_rows,
-    used_rows,
-)
+from mecp_env.learning.encoder import make_network, of_rows, used_rows  # noqa: E402
 from mecp_env.learning.fits import downsample, downsampled_space  # noqa: E402
 from mecp_env.policies.explorers import Nearest, NextBestView  # noqa: E402
 from tests.learning.training import batch, logits, quick, shaken  # noqa: E402

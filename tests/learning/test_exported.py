@@ -1,7 +1,5 @@
 """TorchScript and ONNX files with a JSON file beside them."""
 
-from __future__ import annotations
-
 import json
 import sys
 from pathlib import Path

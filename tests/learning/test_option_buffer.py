@@ -1,7 +1,5 @@
 """Options in a rollout of Stable-Baselines3: discounts of their own, and the value after a step limit."""
 
-from __future__ import annotations
-
 import shutil
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Models of Stable-Baselines3 of every observation format and action space are scored as they were trained."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from itertools import product

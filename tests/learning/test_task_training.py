@@ -1,7 +1,5 @@
 """Training in a task of active SLAM: known ground, predictions and confidence reach the network, or do not."""
 
-from __future__ import annotations
-
 import json
 
 import gymnasium as gym

@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import csv
 import json
 import signal
@@ -22,13 +20,7 @@ from mecp_env.learning.config import ALGORITHMS  # noqa: E402
 from mecp_env.learning.encoder import make_model  # noqa: E402
 from mecp_env.learning.environments import FIGURES, make_env, make_many  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.run_folder import (  # noqa: E402
-    MOST_BYTES,
-    RunFolder,
-    RunLog,
-    TrainingState,
-    load_checkpoint,
-)
+from mecp_env.learning.run_folder import MOST_BYTES, RunFolder, RunLog, TrainingState, load_checkpoint  # noqa: E402
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
 from mecp_env.learning.train import check_size, warm_start  # noqa: E402
 from tests.launcher import Launcher  # noqa: E402
@@ -266,7 +258,8 @@ def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsy
     assert load(folder)
 
 
-@pytest.mark.parametrize("workers", ["batch", pytest.param("processes", marks=pytest.mark.slow)])
+@pytest.mark.slow
+@pytest.mark.parametrize("workers", ["batch", "processes"])
 def test_workers_learn_the_same_as_one_process(workers, tmp_path):
     """The placement of the environments changes no bit of the trained weights."""
     checks = []

@@ -1,14 +1,11 @@
 """Early ends of a training: Ctrl-C, a dead process, a closed pipe, another training."""
 
-from __future__ import annotations
-
 import errno
 import json
+import multiprocessing
 import os
 import shutil
 import signal
-import subprocess
-import sys
 from functools import partial
 from itertools import count, islice
 
@@ -26,14 +23,10 @@ from mecp_env.core.processes import cores  # noqa: E402
 from mecp_env.core.work_units import FailedUnit  # noqa: E402
 from mecp_env.learning import train  # noqa: E402
 from mecp_env.learning.environments import vectorise  # noqa: E402
-from mecp_env.learning.run_folder import (  # noqa: E402
-    RunFolder,
-    Table,
-    read_rows,
-)
+from mecp_env.learning.run_folder import RunFolder, Table, lock, read_rows  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
 from tests.learning.test_learned import Payload  # noqa: E402
-from tests.learning.training import QUICK, ROOT, checkpoints, quick, resume, run  # noqa: E402
+from tests.learning.training import QUICK, checkpoints, quick, resume, run  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -143,22 +136,26 @@ def copy(trained, tmp_path):
     return shutil.copytree(trained, tmp_path / "run")
 
 
-HOLD = "import sys; from pathlib import Path; from mecp_env.learning.run_folder import lock; "
-HOLD += "held = [lock(Path(name)) for name in sys.argv[1:]]; print('held', flush=True); input()"
+def hold(pipe, *folders):
+    """Lock folders until the process is killed."""
+    locks = [lock(folder / ".lock") for folder in folders]
+    pipe.send(len(locks))
+    pipe.recv()
 
 
 def test_a_folder_that_another_process_holds_is_refused_until_that_has_gone(copy, tmp_path, capsys):
     """Seen: without the lock at the start, two processes trained in one folder."""
     new = tmp_path / "new" / "run"
     new.mkdir(parents=True)
-    words = [sys.executable, "-c", HOLD, str(copy / ".lock"), str(new / ".lock")]
-    other = subprocess.Popen(words, cwd=ROOT, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
-    assert other.stdout.readline() == "held\n"
+    ours, theirs = multiprocessing.Pipe()
+    other = multiprocessing.get_context("fork").Process(target=hold, args=(theirs, copy, new))
+    other.start()
+    assert ours.recv() == 2
     assert (resume(copy), run(tmp_path / "new")[1]) == (2, 2)
     assert capsys.readouterr().err.count("is being trained by another process") == 2
     assert [path.name for path in new.iterdir()] == [".lock"]
     other.kill()
-    other.communicate()
+    other.join()
     RunFolder(copy, quick()).hold()
 
 

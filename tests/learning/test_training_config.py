@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 import json
 
 import pytest
@@ -104,27 +102,16 @@ def test_each_algorithm_has_defaults_of_its_own_and_is_paid_the_metric():
         ({"env": {"laser": {"beems": 90}}}, "did you mean 'beams'"),
         ({"stepps": 3}, "did you mean 'steps'"),
         ({"env": {"laser": {"beams": "90"}}}, r"TrainConfig\.env\.laser\.beams: Input should be a number"),
-        ({"algorithm": "dqn"}, "not one of ppo, maskable_ppo, recurrent_ppo"),
         ({"algorithm": "maskable_pp"}, "not one of ppo, .*did you mean 'maskable_ppo'"),
         ({"ppo": {"clip": float("nan")}}, "finite"),
         ({"env": {"layout": "paper"}}, r"env\.layout: .*buildings\.layout"),
         ({"env": {"actions": "goal"}}, r"env\.actions: follows from the algorithm"),
-        ({"steps": "10"}, r"steps: Input should be a number \(given: '10'"),
-        ({"ppo": {"learning_rate": True}}, "learning_rate: Input should be a number"),
-        ({"ppo": {"anneal": "yes"}}, "anneal: Input should be true or false"),
         ({"buildings": {"spec": {"rooms": "3"}}}, r"spec\.rooms: Input should be a number"),
-        ({"buildings": {"spec": {"rooms": [2, 3]}}}, "rooms: Input should be a valid integer"),
         ({"buildings": {"spec": {"estimator": 1}}}, r"spec\.estimator: no such field"),
         ({"buildings": {"layout": "paper", "spec": {"rooms": 3}}}, "'paper' is one building"),
-        ({"buildings": {"spec": {"rooms": True}}}, r"spec\.rooms: Input should be a number"),
-        ({"buildings": {"spec": {"rooms": float("inf")}}}, "rooms: Input should be a finite number"),
-        ({"buildings": {"spec": {"rooms": 10**400}}}, "rooms: Input should be less than or equal to 200"),
         ({"buildings": {"spec": {"door_width_m": "0.8"}}}, "a number or a range of two"),
-        ({"buildings": {"spec": {"door_width_m": ["0.8", 0.9]}}}, "door_width_m: Input should be a number"),
-        ({"buildings": {"spec": {"shapes": 3}}}, "shapes: Input should be a valid tuple"),
         ({"buildings": {"spec": {"shapes": ["L", 3]}}}, r"shapes\.1: Input should be 'L', 'T' or 'U'"),
         ({"buildings": {"spec": {"shape": "L"}}}, "did you mean 'shapes'"),
-        ({"buildings": {"spec": 3}}, "spec: Input should be a valid dictionary"),
     ],
 )
 def test_a_wrong_field_in_a_file_is_refused_with_the_nearest_name(fields, said, tmp_path):

@@ -1,7 +1,5 @@
 """Shared by the tests of training: runs that take seconds."""
 
-from __future__ import annotations
-
 import json
 import os
 from contextlib import nullcontext

@@ -1,7 +1,5 @@
 """The policy on scripted tables of goals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

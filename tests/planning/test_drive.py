@@ -1,7 +1,5 @@
 """Controller and navigator on a toy robot: doors, obstacles, recovery, goals that cannot be reached."""
 
-from __future__ import annotations
-
 import copy
 import math
 import pickle
@@ -13,15 +11,7 @@ import pytest
 
 from mecp_env.core.se2 import compose, to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
-from mecp_env.planning.controller import (
-    can_stop,
-    coast,
-    follow,
-    look_ahead,
-    near_points,
-    safe_command,
-    seen_points,
-)
+from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, near_points, safe_command, seen_points
 from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
 from mecp_env.planning.navigator import Navigator, Outcome, Target, cost_to_go_field, plan_through

@@ -1,7 +1,5 @@
 """Goals: kinds, order, closing and giving up."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

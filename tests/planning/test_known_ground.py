@@ -1,7 +1,5 @@
 """Goals on known ground: which places are offered, and what the virtual filter along a path predicts."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """The grid planner: clearance and paths against brute force, corners, doors, smoothing."""
 
-from __future__ import annotations
-
 import heapq
 import math
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Observations made by hand: goals, walls and landmarks where a test wants them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The explorers, and those that act on their uncertainty, on observations made by hand."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
@@ -9,15 +7,7 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.planning.goal_list import AHEAD_M
-from mecp_env.policies.active import (
-    InformationWeights,
-    Pause,
-    Returning,
-    Stachniss,
-    Triggers,
-    sigma_now,
-    sigma_there,
-)
+from mecp_env.policies.active import InformationWeights, Pause, Returning, Stachniss, Triggers, sigma_now, sigma_there
 from mecp_env.policies.explorers import Gain, Nearest, RandomGoal, Weights, unseen_area, well_known
 from mecp_env.policies.registry import (
     EXPLORERS,

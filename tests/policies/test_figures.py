@@ -1,7 +1,5 @@
 """Figures of an evaluation, by hand: coverage over metres, returns of lost episodes, several seeds of a training."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

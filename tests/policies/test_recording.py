@@ -1,7 +1,5 @@
 """`mecp-env record-dataset`: what Minari reads is what the environment showed, and it can be played again."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any

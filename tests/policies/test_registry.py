@@ -1,9 +1,6 @@
 """Policies by name."""
 
-from __future__ import annotations
-
 import re
-import subprocess
 import sys
 import types
 from pathlib import Path
@@ -17,6 +14,7 @@ from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import EpisodeTask, Setting, options_of, run_episode
 from tests.command_lines import modules_of_page
+from tests.processes import run_python
 
 
 def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -43,9 +41,8 @@ def test_explorers_load_and_name_nothing_of_learning() -> None:
     code = (
         "import sys; from mecp_env.policies.registry import *; [make_policy(n) for n in EXPLORERS]; print(*sys.modules)"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=Path(__file__).parents[2])
-    assert done.returncode == 0, done.stderr
-    assert not {"torch", "stable_baselines3", "sb3_contrib", "mecp_env.learning.learned"} & set(done.stdout.split())
+    loaded = set(run_python(code).split())
+    assert not {"torch", "stable_baselines3", "sb3_contrib", "mecp_env.learning.learned"} & loaded
 
 
 def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -56,15 +53,6 @@ def test_the_policy_of_the_documentation_explores(monkeypatch: pytest.MonkeyPatc
     assert episode.figures["coverage"] > 0.3
     text = (Path(__file__).parents[2] / "docs/policies.md").read_text()
     assert all(f"| `{name}` |" in text for name in registry.EXPLORERS)
-
-
-def test_a_model_file_must_be_trusted(tmp_path: Path) -> None:
-    pytest.importorskip("sb3_contrib")
-    (tmp_path / "model.zip").write_bytes(b"no zip")
-    with pytest.raises(ConfigError, match="--trust"):
-        make_policy(str(tmp_path / "model.zip"))
-    with pytest.raises(ConfigError, match=r"model\.zip"):
-        make_policy(str(tmp_path / "model.zip"), trust=True)
 
 
 class NoFile(Nearest):

@@ -1,7 +1,5 @@
 """`mecp-env evaluate` in real floor plans, in one building, and in a changed environment."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -173,11 +171,8 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
         ("--split tests", "train, validation, test; did you mean 'test'"),
         ("--difficulty medum", "medium"),
         ("--estimator slm", "--estimator slm; did you mean 'slam'?"),
-        ("--episodes 0", r"--episodes: .*greater than or equal to 1 \(given: 0\)"),
         ("--episodes 5000", "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
         ("--reference gian", "one of nearest, bfs, .*random_walk, standing; did you mean 'gain'"),
-        ("--jobs 0", r"--jobs: .*greater than or equal to 1 \(given: 0\)"),
-        ("--jobs 257", r"--jobs: .*less than or equal to 256 \(given: 257\)"),
         ("--max-steps 0", r"--max_steps: .*greater than or equal to 1 \(given: 0\)"),
         ("--json .", "is a folder, not a file"),
         ("--json HERE/a.json", "test_setting.py is a file, not a folder"),
@@ -194,7 +189,6 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
         ("--plans x --split=test", "--split test: --plans x fixes it"),
         ("--suite active-v1 --plans x", "--plans x: --suite active-v1 fixes it"),
         ("--suite active-v1 --env.laser.beams 90", "--env: --suite active-v1 fixes it"),
-        ("--suite active-v1 --crowd.people 3", "--crowd: --suite active-v1 fixes it"),
         ("--suite active-v1 --max-steps 3", "--max-steps 3: --suite active-v1 fixes it"),
         ("--task ActiveHalls-v0 --difficulty hard", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
         ("--layout office --task ActiveHall-v0", "task: 'ActiveHall-v0'.*did you mean 'ActiveHalls-v0'"),
@@ -202,7 +196,6 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
         ("--crowd.people 3 --env.crowd.people 4", "--crowd.people: 3, --env.crowd.people is the same field"),
         ("--layout office --start-x 1", "Unrecognized options: --start-x"),
         ("--env.laser.max_rang_m 4", "Perhaps you meant"),
-        ("--env.laser.max_range_m -4", "max_range_m: Input should be greater"),
         ("--env.estimator truth", "Unrecognized options: --env.estimator"),
         ("--env.slam.grid.resolution_m 0.9", "slam.grid.resolution_m: 0.9 m, at most 0.44 m"),
     ],

@@ -1,7 +1,5 @@
 """Frozen benchmarks: one file per result, refused where it cannot be compared."""
 
-from __future__ import annotations
-
 import contextlib
 import io
 import json
@@ -170,20 +168,6 @@ def test_without_all_episodes_there_is_no_result_and_the_user_knows_why(
     assert cli.main(line) == 1
     assert "2 episodes failed: no result; the same command repeats them" in capsys.readouterr().err
     assert not (tmp_path / f"{toy}.json").exists()
-
-
-def test_a_suite_in_shards_gives_the_result_of_a_single_run(
-    toy: str, played: tuple[Path, str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    """With the episodes that are there already."""
-    out = shutil.copytree(played[0].parent, tmp_path / "out")
-    (out / f"{toy}.json").unlink()
-    line = ["evaluate", "nearest", "returning", "--suite", toy, "--no-truth", "--out", str(out)]
-    assert cli.main([*line, "--shard", "1/2"]) == 0
-    assert "shard 1/2" in capsys.readouterr().out
-    assert not (out / f"{toy}.json").exists()
-    assert cli.main(line) == 0
-    assert read_submission(out / f"{toy}.json")["results"] == read_submission(played[0])["results"]
 
 
 def test_a_task_is_evaluated_with_known_correspondences_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,17 +1,15 @@
 """An episode and its replay page, for all tests of the page."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import pytest
 
-import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.rollout import masks_of
 from mecp_env.wrappers import RecordReplay
+from tests.env.helpers import until_over
 
 
 class Seen(RecordReplay):
@@ -29,11 +27,10 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[Any]]:
     folder = tmp_path_factory.mktemp("replays")
     env = Seen(gym.make("mecp_env/Layout-v0", layout="two_rooms", actions="goal", disable_env_checker=True), folder)
     observation, _ = env.reset(seed=3)
-    policy, over = Nearest(), False
+    policy = Nearest()
     policy.reset(0)
-    while not over:
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, masks_of(env)()))
-        over = terminated or truncated
+    for _ in until_over(env, lambda seen: policy.act(seen, masks_of(env)()), observation):
+        pass
     env.close()
     return folder / "episode-0000.html", env.views
 

@@ -1,7 +1,5 @@
 """Contrast of two colours by WCAG 2.1."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Sequence
 

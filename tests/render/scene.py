@@ -1,7 +1,5 @@
 """A constructed state of an episode: two rooms with a door between them, half explored."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 

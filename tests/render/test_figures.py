@@ -1,7 +1,5 @@
 """Figures: they can be written, show what they must, and the same data give the same file."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

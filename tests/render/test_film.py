@@ -1,7 +1,5 @@
 """The film: bounded length, evenly spaced frames, drawn only when kept, and a GIF that reads back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

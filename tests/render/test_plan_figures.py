@@ -1,7 +1,5 @@
 """Floor plans: names where there is space, colours of neighbours apart, the same file twice."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

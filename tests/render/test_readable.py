@@ -1,7 +1,5 @@
 """Figures are readable: letters large enough on a page, contrast, units, legends of what is drawn, shapes with hues."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from pathlib import Path

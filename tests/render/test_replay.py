@@ -1,7 +1,5 @@
 """The replay: what is kept of a run, the page, and how a real browser plays it."""
 
-from __future__ import annotations
-
 import base64
 import gzip
 import html

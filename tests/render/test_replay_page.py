@@ -1,7 +1,5 @@
 """The look of the replay page: contrast in both themes, rooms, walls, counts, and nothing that moves as it plays."""
 
-from __future__ import annotations
-
 import json
 import re
 from importlib.resources import files

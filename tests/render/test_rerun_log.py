@@ -1,7 +1,5 @@
 """Recordings of the rerun viewer: what is in them, and where they cannot be made."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 from typing import Any
@@ -44,9 +42,7 @@ def last(logged: dict[str, Any], entity: str, column: str) -> Any:
     return getattr(logged[entity], column).as_arrow_array().to_pylist()
 
 
-def test_everything_shown_is_that_of_the_estimator(
-    kept: tuple[dict[str, Any], list[Any]],
-) -> None:
+def test_everything_shown_is_that_of_the_estimator(kept: tuple[dict[str, Any], list[Any]]) -> None:
     logged, views = kept
     output = views[-1].slam_output
     assert np.allclose(np.array(last(logged, "belief/landmarks", "positions"))[:, :2], output.belief.p_map, atol=1e-5)

@@ -1,9 +1,5 @@
 """Frames: shape, type, no display access, and the visible content."""
 
-from __future__ import annotations
-
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -18,6 +14,7 @@ from mecp_env.render.screen import SMALL_HEADER, Screen, ScreenConfig, grid_pict
 from mecp_env.render.shapes import loops, signed_area
 from mecp_env.render.window import Window
 from mecp_env.slam.messages import Cell
+from tests.processes import run_python
 from tests.render import scene
 from tests.slam import make
 
@@ -52,8 +49,7 @@ def test_frames_need_no_display_and_no_window() -> None:
         "from mecp_env.render.screen import Screen\nfrom tests.render.scene import view\nimport pygame\n"
         "Screen().frame(view()); assert not pygame.display.get_init(); print('drawn')"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
-    assert done.stdout == "drawn\n", done.stderr
+    assert run_python(code) == "drawn\n"
 
 
 def test_the_window_shows_frames_and_survives_being_closed(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """A drive through two rooms and back, and a map of it."""
 
-from __future__ import annotations
-
 import pytest
 
 from mecp_env.slam import SlamOutput, SlamPipeline

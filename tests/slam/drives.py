@@ -1,7 +1,5 @@
 """Scripted drives through an included layout: sensor data and true poses."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -1,7 +1,5 @@
 """Builders of the carriers between the stages: a test states what matters to it, and the rest has a default."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Constructed scans: rays against faces in NumPy, with the bearings and noise of the laser."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -39,13 +37,18 @@ def turned(faces, angle):
 
 def cast(faces, bearings):
     """Exact range of each ray from the origin, inf where there is none."""
+    return distances(faces, bearings).min(axis=-1)
+
+
+def distances(faces, bearings):
+    """(...,n) along each ray to each face, inf where it is not met."""
     d = np.stack([np.cos(bearings), np.sin(bearings)], axis=-1)[..., None, :]
     a, u = faces[:, 0], faces[:, 1] - faces[:, 0]
     with np.errstate(divide="ignore", invalid="ignore"):
         across = d[..., 0] * u[:, 1] - d[..., 1] * u[:, 0]
         r = (a[:, 0] * u[:, 1] - a[:, 1] * u[:, 0]) / across
         t = (a[:, 0] * d[..., 1] - a[:, 1] * d[..., 0]) / across
-    return np.where((r > 0.0) & (t >= 0.0) & (t <= 1.0), r, np.inf).min(axis=-1)
+    return np.where((r > 0.0) & (t >= 0.0) & (t <= 1.0), r, np.inf)
 
 
 def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720, max_range_m=MAX_RANGE_M):

@@ -1,7 +1,5 @@
 """The checks of scans and odometry: compiled functions against a reference implementation."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -9,15 +7,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.association import MatchBuilder
-from mecp_env.slam.checks import (
-    Fault,
-    MatchError,
-    SensorError,
-    check_match,
-    check_odometry,
-    check_scan,
-    find_fault,
-)
+from mecp_env.slam.checks import Fault, MatchError, SensorError, check_match, check_odometry, check_scan, find_fault
 from mecp_env.slam.messages import Decision, Reason
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M

@@ -1,7 +1,5 @@
 """Files for other programs: one implementation for outputs, pipelines and the command; outlines against shapely."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

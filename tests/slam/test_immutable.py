@@ -1,7 +1,5 @@
 """Messages are immutable in fact: over whole drives, no stage writes to an array of a message after it was made."""
 
-from __future__ import annotations
-
 import hashlib
 from dataclasses import fields, is_dataclass
 from typing import Any
@@ -51,9 +49,7 @@ def made(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, str]]:
 
 
 @pytest.mark.parametrize(
-    "keywords",
-    [CROWD, *({"slam": {"association": {"method": method}}} for method in METHODS)],
-    ids=["crowd", *METHODS],
+    "keywords", [CROWD, *({"slam": {"association": {"method": method}}} for method in METHODS)], ids=["crowd", *METHODS]
 )
 def test_no_stage_writes_to_a_message(made: list[tuple[Any, str]], keywords: dict[str, Any]) -> None:
     env = gym.make("mecp_env/Layout-v0", layout="two_rooms", laser={"preset": "paper"}, **keywords)

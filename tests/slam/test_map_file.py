@@ -1,7 +1,5 @@
 """Maps on disk: a loaded map goes on to the bit, a robot can be put into it, and whatever is wrong gives one error."""
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A laser that is not at the robot's centre or does not look all around: the same map, and no corner at its edges."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Custom associators and filters, registered by name for every configuration (docs/own-parts.md)."""
 
-from __future__ import annotations
-
 import importlib
 from pathlib import Path
 from types import ModuleType
@@ -25,11 +23,7 @@ from tests.command_lines import written_modules
 from tests.env.helpers import episode_of
 from tests.slam.drives import Drive
 
-OWN = {
-    "association": {"method": "global_nearest"},
-    "filter": {"kind": "plain_ekf"},
-    "polygon": {"structure": "both"},
-}
+OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "plain_ekf"}, "polygon": {"structure": "both"}}
 
 
 @pytest.fixture
@@ -102,19 +96,6 @@ def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: py
     assert "| global_nearest |" in said
     assert "| mecp, filter plain_ekf |" in said
     assert "## paper" not in said
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (["association", "--sets", "papre"], "--sets papre: expected one of paper, paper_ideal, two_rooms"),
-        (["association", "--sets", "paper:0"], "expected NAME or NAME:COUNT, a count from 1 to 1000"),
-    ],
-)
-def test_wrong_options_are_named(arguments: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit, match="2"):
-        command.main(arguments)
-    assert said in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

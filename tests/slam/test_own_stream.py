@@ -1,7 +1,5 @@
 """A user's own stream of scans and odometry: any bearing convention, poses of the wheels, a laser by its name."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from typing import Any

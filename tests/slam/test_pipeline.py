@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.core.errors import ConfigError
 from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.landmark_map import LandmarkMap
@@ -178,12 +177,6 @@ def test_damaged_input_is_refused_and_nothing_is_lost(drive, field, odometry, sc
         pipeline.step(replace(drive.odometry[3], **odometry), replace(drive.scans[3], **scan))
     assert pipeline.step_count == before.step
     assert np.array_equal(pipeline.filter.belief().T_map_robot, before.belief.T_map_robot)
-
-
-def test_a_dict_configures_as_well():
-    assert SlamPipeline({"filter": {"kind": "ekf"}}).config.filter.kind == "ekf"
-    with pytest.raises(ConfigError, match="filtre"):
-        SlamPipeline({"filtre": {}})
 
 
 def spied(monkeypatch, cls, name):

@@ -1,7 +1,5 @@
 """Shared by the tests of vector environments."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

@@ -1,7 +1,5 @@
 """A batch of environments of any kind is as Gymnasium's own class: observations, results, every key of infos."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """`send` and `recv`: each environment goes as it would alone, first ready first served, and mistakes are named."""
 
-from __future__ import annotations
-
 import multiprocessing
 import time
 from typing import Any

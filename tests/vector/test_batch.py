@@ -1,7 +1,5 @@
 """The batch as a vector environment: seeds, masks, options, calls, spaces, frames."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

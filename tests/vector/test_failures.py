@@ -1,7 +1,5 @@
 """A batch whose worker is killed, whose environment raises, or that is not closed."""
 
-from __future__ import annotations
-
 import multiprocessing
 import os
 import re

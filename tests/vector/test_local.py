@@ -1,7 +1,5 @@
 """A batch whose calling process steps environments itself: all of them, or the first slice beside its workers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium

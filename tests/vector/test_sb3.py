@@ -1,7 +1,5 @@
 """Stable-Baselines3: its own vector classes and the batch as one of them give the same, masks of goals included."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

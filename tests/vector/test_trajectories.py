@@ -1,7 +1,5 @@
 """The same trajectories, bit for bit: N single environments, the vector classes of Gymnasium, and the batch."""
 
-from __future__ import annotations
-
 from contextlib import closing
 from functools import cache
 from typing import Any

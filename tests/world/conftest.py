@@ -1,7 +1,5 @@
 """Documents, layouts and outlines shared by the tests of the world."""
 
-from __future__ import annotations
-
 import copy
 import json
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Builders of what the world passes on."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The robot among walls as pymunk alone moves it: the reference for the compiled motion."""
 
-from __future__ import annotations
-
 import numpy as np
 import pymunk
 from numpy.typing import NDArray

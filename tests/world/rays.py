@@ -1,7 +1,5 @@
 """Exact rays for the tests of the laser."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Untrusted layout files: any content is read or refused by one clear LayoutError, within the limits."""
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path

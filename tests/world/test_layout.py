@@ -1,7 +1,5 @@
 """Layouts: the included ones are as documented; wrong ones raise LayoutError with the field."""
 
-from __future__ import annotations
-
 import copy
 import json
 import math
@@ -107,17 +105,11 @@ BAD_DOCUMENTS = {
     "narrow door": (replace("doors.0.width_m", 0.4), r"rooms\.1: 'east' cannot be reached by a radius of 0\.22 m"),
     "blocked door": (replace("obstacles", [PILLAR]), r"rooms\.1: 'east' cannot be reached|doors\.0"),
     "start walled in": (replace("obstacles", [LONG_BOX]), r"starts\.1\.point"),
-    "key of a wall": (
-        replace("walls.1.thicknes_m", 0.1),
-        r"walls\.1\.thicknes_m: no such field; .*'thickness_m'",
-    ),
+    "key of a wall": (replace("walls.1.thicknes_m", 0.1), r"walls\.1\.thicknes_m: no such field; .*'thickness_m'"),
     "tiny": (replace("rooms.0.polygon.1.0", 1.9e-230), "rooms"),  # a warning is an error here, too
     "key": (replace("strats", []), r"layout\.strats: no such field; did you mean 'starts'\? \(given: \[\]\)$"),
     "opening": (replace("doors.0.opening", "cutt"), r"doors\.0\.opening: .*did you mean 'cut'\? \(given: 'cutt'\)$"),
-    "room": (
-        replace("doors.0.rooms.0", "wets"),
-        r"doors\.0\.rooms\.0: no room is called 'wets'; .*'west'\?$",
-    ),
+    "room": (replace("doors.0.rooms.0", "wets"), r"doors\.0\.rooms\.0: no room is called 'wets'; .*'west'\?$"),
     "kind": (
         replace("obstacles", [{"kind": "boxx", "centre": [1, 1], "size": [1, 1]}]),
         r"obstacles\.0: .*mean 'box'\?",

@@ -1,7 +1,5 @@
 """Dynamic obstacles: pedestrians avoid walls, each other and (if polite) the robot; boxes slide; doors close."""
 
-from __future__ import annotations
-
 import copy
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The outline: faces, corners, jambs, rooms and doors of the true building."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Lasers and wheels that exist: their statistics are those of the data sheets (docs/sensors.md)."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -16,7 +14,6 @@ from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
 from mecp_env.world.odometry import measure
 from mecp_env.world.outline import Outline, build_outline
-from tests.env.helpers import drive, make, same
 from tests.world.make import motion
 
 REAL = sorted(LASERS.keys() - {"paper", "ideal"})
@@ -126,15 +123,6 @@ def test_single_fields_override_a_preset() -> None:
         with pytest.raises(ConfigError) as refused:
             EnvConfig.build({section: {"preset": "urg04lz"}})
         assert [name for name in known if f"'{name}'" not in str(refused.value)] == []
-
-
-def test_presets_work_in_an_environment() -> None:
-    env = make(laser={"preset": "urg04lx"}, odometry={"preset": "turtlebot"})
-    assert env.observation_space.contains(env.reset(seed=0)[0])
-    state = env.unwrapped.get_state()
-    steps = drive(env, 3)
-    env.unwrapped.set_state(state)
-    assert same(steps, drive(env, 3))
 
 
 def test_wheels_slip_in_their_share_of_the_steps() -> None:

@@ -1,7 +1,5 @@
 """The physics: motion as commanded, contacts flagged, no path through walls, snapshots that continue bit for bit."""
 
-from __future__ import annotations
-
 import copy
 import hashlib
 import math
@@ -16,17 +14,7 @@ from mecp_env.core.errors import ActionError, ConfigError, MecpError
 from mecp_env.core.se2 import compose
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world.config import RobotConfig
-from mecp_env.world.drive import (
-    COURSE,
-    SPEED,
-    TOUCH_M,
-    TURN,
-    MovingBodies,
-    RobotLimits,
-    drive_on,
-    slide,
-    wall_distance,
-)
+from mecp_env.world.drive import COURSE, SPEED, TOUCH_M, TURN, MovingBodies, RobotLimits, drive_on, slide, wall_distance
 from mecp_env.world.outline import Outline, random_free_pose
 from mecp_env.world.simulation import Motion, Simulation
 from tests.world.conftest import OUTLINES

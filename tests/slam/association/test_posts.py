@@ -1,7 +1,5 @@
 """Door posts that are no landmarks (IV): features for doors and rooms, left out of association and update."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The associators that `mecp` is compared with: against exhaustive search, and in closed loop."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

@@ -1,7 +1,5 @@
 """A filter with a map, and random measurements with correlated corners."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The tests of association: single, joint, iterated joint, and the mean of Gaussians of a polygon."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy.optimize import least_squares

@@ -1,7 +1,5 @@
 """Consistency of the covariance: NEES over many runs, and positivity over many steps (derivations 4.5)."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Covariances stay symmetric and positive through any sequence of predictions, updates, births, merges and removals."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

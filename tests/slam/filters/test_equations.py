@@ -1,7 +1,5 @@
 """Derivatives against central differences, the exponential map against expm, the filters against their dense twins."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The filter `fej`: Jacobians at first estimates, and what it never learns: where the map as a whole lies."""
 
-from __future__ import annotations
-
 import copy
 
 import gymnasium as gym

@@ -1,7 +1,5 @@
 """Ids, slots, capacity, removal, copies, the belief in world coordinates, and lasers off the centre."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 

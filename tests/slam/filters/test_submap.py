@@ -1,7 +1,5 @@
 """A filter that works on a submap against the same filter without one, on drives through a field of landmarks."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from functools import cache

@@ -1,7 +1,5 @@
 """A long drive on small submaps, with everything that may happen to a filter, loses no digits against the whole one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Updates: one scan at once, iterated at a loop closure, refused for a bad covariance; landmark merging."""
 
-from __future__ import annotations
-
 import copy
 
 import numpy as np
@@ -15,14 +13,6 @@ from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import J, exp_map, expected, rotation, wrap
 
 MERGED = FilterConfig().prior_sigma_m ** 2  # m^2, of the distance of merged landmarks
-
-
-def test_innovation_is_that_of_the_twin(pair):
-    z, R, slots = pair.scan(4)
-    nu, S = pair.filter.innovation(z, R, pair.ids[slots])
-    nu_twin, S_twin = pair.twin.innovation(z, R, slots)
-    np.testing.assert_allclose(nu, nu_twin, atol=1e-13)
-    np.testing.assert_allclose(S, S_twin, atol=1e-13)
 
 
 def test_bearings_are_wrapped_behind_the_robot(kind):

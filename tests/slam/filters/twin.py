@@ -1,7 +1,5 @@
 """Dense NumPy reference filters, written from the equations: full F, G, H, Joseph form. Slow and simple."""
 
-from __future__ import annotations
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm

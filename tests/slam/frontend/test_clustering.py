@@ -1,7 +1,5 @@
 """Data clustering: the adaptive threshold of III-A.1, its noise term, and runs across the wrap at pi."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Corners of constructed scans: kinds, descriptors, doors, and the joint covariance."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Straight segments: where they are cut, the line through them and its covariance."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -62,11 +60,7 @@ def test_a_narrow_face_is_no_pillar(distance):
 
 @pytest.mark.parametrize(
     ("sensor", "wall"),
-    [
-        (PAPER, ((2.0, -1.0), (2.0, 1.0))),
-        (LMS200, ((1.0, 0.5), (4.0, 1.0))),
-        (PAPER, ((3.0, -0.4), (3.2, 0.4))),
-    ],
+    [(PAPER, ((2.0, -1.0), (2.0, 1.0))), (LMS200, ((1.0, 0.5), (4.0, 1.0))), (PAPER, ((3.0, -0.4), (3.2, 0.4)))],
 )
 def test_covariance_of_the_line(sensor, wall):
     (x0, y0), (x1, y1) = wall

@@ -1,7 +1,5 @@
 """The dense scan: interleaved sweeps become one beam per nominal bearing, and what lasers lose."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """The semantic grid against ground truth: bounds, thin walls, rooms, moved landmarks; cells against brute force."""
 
-from __future__ import annotations
-
 import copy
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Noticing a wrong pose and finding it again: the map's word on a scan, the search, and whole drives."""
 
-from __future__ import annotations
-
 import copy
 import math
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Plain twins of the polygon search: all rings by definition, and a recursion for more sites than that can do."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

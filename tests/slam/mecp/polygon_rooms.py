@@ -1,7 +1,5 @@
 """Rooms as closed walls, seen by a NumPy laser: beams and the truly visible corners."""
 
-from __future__ import annotations
-
 import numpy as np
 import shapely
 

@@ -1,7 +1,5 @@
 """Every compiled function of the polygon stage against a reference implementation."""
 
-from __future__ import annotations
-
 import itertools
 import math
 

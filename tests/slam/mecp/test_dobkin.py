@@ -1,7 +1,5 @@
 """The structure `dobkin`: the paper's search with its kernel rule, against brute force, and what the rule loses."""
 
-from __future__ import annotations
-
 import itertools
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The polygons of a scan: the claims of the paper, the wall-crossing check, and the edge intervals."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """The search for the largest empty convex polygons around a point, against vectors and brute force."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

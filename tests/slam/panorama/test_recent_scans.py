@@ -1,7 +1,5 @@
 """The window in the pipeline: polygons around a robot that does not see behind itself, without a worse pose."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Registration of constructed scans: known motions are found, open directions stay open, others are refused; twins."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 

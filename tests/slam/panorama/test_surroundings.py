@@ -1,7 +1,5 @@
 """What past scans show of the place, compiled, against finite differences and plain twins."""
 
-from __future__ import annotations
-
 import math
 from dataclasses import replace
 
@@ -13,14 +11,7 @@ from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
-from mecp_env.slam.panorama import (
-    is_in_room,
-    marks_seen,
-    poses_of_marks,
-    poses_since,
-    rooms_like,
-    seen_from,
-)
+from mecp_env.slam.panorama import is_in_room, marks_seen, poses_of_marks, poses_since, rooms_like, seen_from
 from mecp_env.slam.panorama.registration import surfaces_of
 from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
 from tests.slam import make

@@ -1,7 +1,5 @@
 """Pose graphs of a simulated drive: a robot that goes round and round between landmarks."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

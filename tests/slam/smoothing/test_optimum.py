@@ -1,7 +1,5 @@
 """The batch optimum of a pose graph: derivatives, a dense solution, wrong factors, and what has no optimum."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -1,7 +1,5 @@
 """The record of a run and the final map: nearer to the truth than the online path, over drives of several seeds."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 
