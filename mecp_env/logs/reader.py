@@ -25,13 +25,16 @@ FORMATS = (
     f"{', '.join(CARMEN)} (CARMEN), .csv, .tsv, .txt, .dat (BreezySLAM), these also packed as {PACKED}, .npz, .bag, "
     ".db3, .mcap or the folder of a bag"
 )
+ECHOED = "messages as `rostopic echo` prints them: record a bag instead (`rosbag record`, `ros2 bag record`)"
 FOREIGN = {  # how files begin that are no logs as they are
     b"version https://git-lfs": "a pointer of Git LFS: `git lfs pull` fetches the file",
     b"<!doctype": "a web page",
     b"<html": "a web page",
     b"\xff\xfe": "text in UTF-16: save it as UTF-8",
     b"\xfe\xff": "text in UTF-16: save it as UTF-8",
-    b"pk\x03\x04": "packed by zip: unpack it first",
+    b"pk\x03\x04": "packed by zip: unpack it first, or save a spreadsheet as .csv",
+    b"header:": ECHOED,
+    b"---": ECHOED,
     b"\xfd7zxz": "packed by xz: unpack it first",
     b"bzh": "packed by bzip2: unpack it first",
     b"\x28\xb5\x2f\xfd": "packed by zstd: unpack it first",
