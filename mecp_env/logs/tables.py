@@ -45,9 +45,8 @@ def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
 def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None:
     """All rows behind the names."""
     head = list(islice(rows_of(data, comments=True), HEAD))
+    _check_lists(head)
     header = header_of(head)
-    if any("..." in cell for row in head for cell in row.cells):
-        raise LogError("a list ends in '...': it was printed in short; print it whole, or save an .npz")
     names, behind = header.cells, (row for row in rows_of(data) if row.number > header.number)
     of_beams = BeamColumns.of(names)
     if of_beams is not None:
@@ -64,6 +63,12 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
             recording.damaged("row", number, words)
         else:
             recording.counts["rows that end early"] += len(words) < len(columns.names)
+
+
+def _check_lists(head: list[Row]) -> None:
+    """Raise `LogError` where a list is not whole."""
+    if any("..." in cell for row in head for cell in row.cells):
+        raise LogError("a list has '...' in it: it was printed in short; print it whole, or save an .npz")
 
 
 def _turn_over(data: bytes, recording: Recording) -> None:
