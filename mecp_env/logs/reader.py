@@ -106,15 +106,17 @@ def _check_file(path: Path, suffix: str) -> None:
     """Raise `LogError` for what is no log by its name or by its first bytes."""
     if not exists(path):
         raise LogError("no such file")
-    if path.is_file() and not path.stat().st_size:
-        raise LogError("an empty file")
-    if path.is_file():
-        _check_start(path, suffix)
-    if is_bag(path):
-        return
     if path.is_dir():
-        raise LogError("a folder without a bag; name a file")
-    _check_name(path, suffix)
+        if not is_bag(path):
+            raise LogError("a folder without a bag; name a file")
+        return
+    if not path.is_file():
+        raise LogError("no plain file, but a pipe or a device: save it as a file first")
+    if not path.stat().st_size:
+        raise LogError("an empty file")
+    _check_start(path, suffix)
+    if not is_bag(path):
+        _check_name(path, suffix)
 
 
 def _check_name(path: Path, suffix: str) -> None:
@@ -134,6 +136,8 @@ def _check_start(path: Path, suffix: str) -> None:
     binary = _named(BINARY, start)
     if binary and suffix not in binary:
         raise LogError(f"not what its name says, but {binary}: rename it")
+    if is_bag(path) and not binary:
+        raise LogError("no bag, or damaged: it begins as none does")
     if suffix in TEXTS and b"\0" in start and not start.startswith(MAGIC):
         raise LogError("no text as its name says, or text in UTF-16: save it as UTF-8")
 

@@ -100,6 +100,7 @@ AGAIN = "run the command that made it again"
 MARK = re.compile(r"\{\{(\w+)\}\}")
 # What is made of a run, for any one and per byte of it as it is packed; of honest ones 5.4 bytes of text, 56 of values.
 JSON_BYTES, VALUE_BYTES = (2**23, 8), (2**25, 62)
+MOST_BYTES = 2**29  # of a page
 PACKED = re.compile(rb'<script id="run" type="text/plain" data-version="(\d{1,9})">([A-Za-z0-9+/=\s]*)</script>')
 
 
@@ -141,6 +142,10 @@ def play_again(path: Path, out: Path) -> int:
 
 def packed_run(path: Path) -> bytes:
     """The run in a page, as it is packed. Raises `ReplayError` and `OSError`."""
+    if path.exists() and not path.is_file():
+        raise ReplayError(f"{path}: a folder, or no plain file; {AGAIN}")
+    if path.stat().st_size > MOST_BYTES:
+        raise ReplayError(f"{path}: {path.stat().st_size} bytes, at most {MOST_BYTES}")
     found = PACKED.search(path.read_bytes())
     if found is None:
         raise ReplayError(f"{path}: no replay of mecp_env, or a part of it is missing; {AGAIN}")

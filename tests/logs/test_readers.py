@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core.errors import LogError
+from mecp_env.core.errors import ConfigError, LogError
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
 from mecp_env.logs.odometry_model import arcs, reading
+from mecp_env.policies.suites import read_submission
+from mecp_env.render.replay_page import ReplayError, read_page
 from mecp_env.world.config import OdometryConfig
 from tests.logs.files import (
     BEAMS,
@@ -152,6 +155,13 @@ def test_files_that_are_something_else(tmp_path: Path, start: bytes, said: str) 
         (tmp_path / name).write_bytes(start + b"x" * 100)
         with pytest.raises(LogError, match=f"{name}: not a log as it is.*{said}"):
             read_log(tmp_path / name)
+
+
+def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.log")
+    for read, error in ((read_log, LogError), (read_page, ReplayError), (read_submission, ConfigError)):
+        with pytest.raises(error, match="no plain file"):
+            read(tmp_path / "a.log")
 
 
 def test_folder_and_missing(tmp_path: Path) -> None:

@@ -197,6 +197,7 @@ def test_beams_of_any_number_and_spacing_around(tmp_path: Path) -> None:
         ("a.csv", b"angle,range\n" + b"1,2\n" * 5, "5 rows per scan, 8 to"),
         ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2. ... 3. 4.]"\n', "printed in short"),
         ("a.yaml", b"header:\n  seq: 1\n---\n", "record a bag"),
+        ("a.bag", bytes(100), "begins as none does"),
         ("a.xlsx", b"PK\x03\x04", "spreadsheet as .csv"),
     ],
 )
