@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -61,14 +61,33 @@ def _differs(old: Row | None, new: Row) -> bool:
     return max(abs(a - b) for a, b in zip(old[2:], new[2:], strict=True)) > ENOUGH * spread
 
 
-def changed_cells(grids: Sequence[tuple[Bytes, Array]], cell_m: float) -> tuple[Array, list[int], list[Row]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedGrid:
+    """The cells of a grid, packed: a run has hundreds of large ones."""
+
+    packed: bytes
+    shape: tuple[int, ...]  # H, W
+    place: Array  # (2,) m: the lower left corner
+
+    @classmethod
+    def of(cls, codes: Bytes, place: Array) -> Self:
+        """That with the codes (H,W) of its cells."""
+        return cls(zlib.compress(codes.tobytes(), 1), codes.shape, place)
+
+    @property
+    def codes(self) -> Bytes:
+        """(H,W) those of its cells."""
+        return np.frombuffer(zlib.decompress(self.packed), np.uint8).reshape(self.shape)
+
+
+def changed_cells(grids: Sequence[PackedGrid], cell_m: float) -> tuple[Array, list[int], list[Row]]:
     """The lower left corner (2,) m of all grids together, their width and height in cells, and the changes.
 
-    `grids`: codes (H,W) and the lower left corner (2,) of each frame, the same object while nothing changed. The
+    `grids`: that of each frame, the same object while nothing changed. The
     changes of a frame are runs of cells: the first one, counted row by row, how many, their code; and so on.
     """
-    low = np.min([place for _, place in grids], axis=0)
-    high = np.max([place + cell_m * np.array(codes.shape[::-1]) for codes, place in grids], axis=0)
+    low = np.min([grid.place for grid in grids], axis=0)
+    high = np.max([grid.place + cell_m * np.array(grid.shape[::-1]) for grid in grids], axis=0)
     width, height = np.round((high - low) / cell_m).astype(int).tolist()
     shown, changes, last = np.zeros((height, width), np.uint8), list[Row](), None
     for grid in grids:
@@ -77,11 +96,10 @@ def changed_cells(grids: Sequence[tuple[Bytes, Array]], cell_m: float) -> tuple[
     return low, [width, height], changes
 
 
-def _laid(grid: tuple[Bytes, Array], low: Array, cell_m: float, shape: tuple[int, int]) -> Bytes:
-    codes, place = grid
-    column, row = np.round((place - low) / cell_m).astype(int).tolist()
+def _laid(grid: PackedGrid, low: Array, cell_m: float, shape: tuple[int, int]) -> Bytes:
+    column, row = np.round((grid.place - low) / cell_m).astype(int).tolist()
     whole = np.zeros(shape, np.uint8)
-    whole[row : row + codes.shape[0], column : column + codes.shape[1]] = codes
+    whole[row : row + grid.shape[0], column : column + grid.shape[1]] = grid.codes
     return whole
 
 
