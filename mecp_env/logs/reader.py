@@ -35,6 +35,7 @@ FOREIGN = {  # how files begin that are no logs as they are
     b"pk\x03\x04": "packed by zip: unpack it first, or save a spreadsheet as .csv",
     b"header:": ECHOED,
     b"---": ECHOED,
+    b"{": "JSON: write a table or an .npz (docs/logs.md)",
     b"\xfd7zxz": "packed by xz: unpack it first",
     b"bzh": "packed by bzip2: unpack it first",
     b"\x28\xb5\x2f\xfd": "packed by zstd: unpack it first",
@@ -133,6 +134,11 @@ def _check_start(path: Path, suffix: str) -> None:
     foreign = _named(FOREIGN, start.lstrip().lower())
     if foreign and suffix != ".npz":
         raise LogError(f"not a log as it is, but {foreign}")
+    _check_kind(path, suffix, start)
+
+
+def _check_kind(path: Path, suffix: str, start: bytes) -> None:
+    """Raise `LogError` for a file that begins as no text, or as no bag, where its name says so."""
     binary = _named(BINARY, start)
     if binary and suffix not in binary:
         raise LogError(f"not what its name says, but {binary}: rename it")

@@ -67,8 +67,8 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
 
 def _check_lists(head: list[Row]) -> None:
     """Raise `LogError` where a list is not whole."""
-    if any("..." in cell for row in head for cell in row.cells):
-        raise LogError("a list has '...' in it: it was printed in short; print it whole, or save an .npz")
+    if any("..." in cell or "[" in cell for row in head for cell in row.cells):
+        raise LogError("a list has '...' or line ends in it, as NumPy prints it: write plain numbers, or save an .npz")
 
 
 def _turn_over(data: bytes, recording: Recording) -> None:
