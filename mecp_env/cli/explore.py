@@ -107,7 +107,7 @@ class Explore(WithModules):
             mask, goals = masks(), dict(zip(base.goal_actions.tolist(), base.goals.rows(len(base.goals)), strict=True))
             with calls_of(self.policy):
                 action = policy.act(observation, mask)
-            observation, _, terminated, truncated, info = env.step(action)
+                observation, _, terminated, truncated, info = env.step(action)
             if policy.actions == "goal":
                 echo(drive_line(goals, int(action), info))
         echo("", end_line(terminated, info), "")

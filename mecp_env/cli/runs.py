@@ -207,7 +207,7 @@ class Run:
         paths = {"trajectory.tum": (times, self.estimated), "truth.tum": (times, self.true)}
         _keep_data(folder, metrics, recipe, paths)
         self.save_map()
-        self.film.frames.append(self.picture(view))  # the last step, whether its turn has come or not
+        self.film.add(self.picture(view))  # the last step, whether its turn has come or not
         figures = {
             "map.png": lambda: map_figure(view),
             "curves.png": lambda: curves_figure(self.title, period_s, self.moments),
@@ -296,7 +296,7 @@ class LogFiles:
             paths["truth.tum"] = run.t[run.scored][known], reference[known]
         _keep_data(folder, metrics, recipe, paths)
         view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
-        self.film.frames.append(self._frame(run.output))
+        self.film.add(self._frame(run.output))
         _keep_pictures(folder, run.output, {"map.png": lambda: map_figure(view)}, self.film)
         write_page(self.recorder.run(self.log.name, _caption(run.ended, metrics)), folder / "replay.html")
         _keep_final(folder, run, self.log.name, metrics)

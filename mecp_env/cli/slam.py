@@ -152,7 +152,7 @@ class Slam(WithModules):
         """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
         from mecp_env.logs.laser_check import laser_fault
 
-        fault = laser_fault(log) if self._is_measured else None
+        fault = laser_fault(log, self.noise.distance_scale) if self._is_measured else None
         said = () if fault is None else (f"warning: {fault}",)
         echo(*said)
         return replace(log, notes=(*log.notes, *said)), fault

@@ -32,7 +32,7 @@ from mecp_env.slam.smoothing import FinalMap, Trace
 from mecp_env.slam.smoothing.optimum import SmoothingError
 from mecp_env.world.config import OdometryConfig
 
-FEW_SHARE = 0.1  # of the scans of a file are used, at least
+FEW_SHARE, FEWEST_SCANS = 0.1, 5  # of the scans of a file are used, at least, and at least so many
 LOST_SHARE, LOST_SCANS = 0.1, 5  # of the scans at the end, and at least so many: their pose is not known
 AT_REST = "scans at rest, skipped"
 DAMAGED = ("damaged lines", "damaged rows", "damaged messages")
@@ -47,19 +47,19 @@ def fault_of(run: LogRun, config: LogRunConfig) -> str | None:
         )
     if run.ended != "complete":
         return None
-    return _few(run, config) or _lost(run)
+    return _few(run, config) or _lost(run) or _empty(run)
 
 
 def _few(run: LogRun, config: LogRunConfig) -> str | None:
-    """Where fewer than a tenth of the scans are used."""
-    if len(run.log) == 1:
-        return "only one scan can be used, no motion is between scans: a map takes a drive"
+    """Where fewer than five scans, or than a tenth of them, are used."""
+    if len(run.log) < FEWEST_SCANS:
+        return f"only {len(run.log)} of the scans can be used: a map takes a drive, and scans on the way"
     counts = run.counts
     found = run.log.found + sum(counts.get(name, 0) for name in DAMAGED)
     standard = LogRunConfig()
     asked = config.rest_m > standard.rest_m or config.rest_deg > standard.rest_deg or config.scans is not None
     resting = counts.get(AT_REST, 0)
-    if len(run.t) + resting * asked >= FEW_SHARE * found:
+    if len(run.t) + resting * asked >= max(FEWEST_SCANS, FEW_SHARE * found):
         return None
     reason = f"{len(run.t)} of {found} scans are used"
     if 2 * resting > found and REGISTERED in run.notes:
@@ -83,7 +83,20 @@ def _lost(run: LogRun) -> str | None:
     )
 
 
-REGISTERED = "odometry none: it is made by registration of successive scans"
+def _empty(run: LogRun) -> str | None:
+    """Where no scan shows a corner."""
+    if len(run.output.belief.ids):
+        return None
+    return (
+        "no landmark: no scan shows corners of walls, and the path is that of the odometry: try another --max-range-m "
+        "or --field-of-view-deg, or a drive through rooms"
+    )
+
+
+REGISTERED = (
+    "odometry none: it is made by registration of successive scans, which cannot show whether the laser counts "
+    "clockwise: --mirror where the map is mirrored"
+)
 
 
 class LogRunConfig(Settings):

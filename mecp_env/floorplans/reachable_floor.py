@@ -64,7 +64,8 @@ def _inner(area: BaseGeometry, radius: float) -> BaseGeometry:
     inner = area.buffer(-radius, quad_segs=4)
     if inner.is_empty:
         raise LayoutError(
-            f"no floor is wide enough for a radius of {ROBOT_RADIUS_M} m; check the scale, and that floor is bright"
+            f"no floor is wide enough for a radius of {ROBOT_RADIUS_M} m; check the scale, and that floor is bright, "
+            "on dark walls"
         )
     return inner
 

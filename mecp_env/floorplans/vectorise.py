@@ -18,9 +18,10 @@ from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LayoutError, PlanWarning
 
 MAX_CELLS = 4_000_000  # of the box around the floor; with more, several pixels become one
-MAX_SPECKS = 20_000  # free-standing pieces of wall
+SPECK_CELLS = 4  # pieces of wall of at most so many cells that stand free are noise
+MAX_SPECKS = 5_000  # larger ones
 MAX_CORNERS = 400_000
-SPECK_CELLS = 4
+CLEANED = "erase noise with a median filter, or scale the picture down and give the metres per pixel of the smaller one"
 LEAST_NOISE_M = 0.03
 OUTSIDE_EDGE, OUTSIDE_WITHIN = 0.9, 0.1  # of the edge is floor, and so much of its area again is closed off within it
 FRAMED_WITHIN = 1.0  # the same where there is a frame around the floor, as walls around a large room are
@@ -135,17 +136,19 @@ def _closed_off(sizes_m2: list[float]) -> str:
 
 def _without_specks(floor: Bools) -> Bools:
     """`floor` where free-standing walls of a few pixels are floor."""
-    parts, count = ndimage.label(~floor, structure=np.ones((3, 3)))
-    if count > MAX_SPECKS:
-        raise LayoutError(f"image: {count} pieces of wall, at most {MAX_SPECKS}")
-    return floor | (np.bincount(parts.ravel()) <= SPECK_CELLS)[parts]
+    parts, _ = ndimage.label(~floor, structure=np.ones((3, 3)))
+    specks = np.bincount(parts.ravel()) <= SPECK_CELLS
+    pieces = len(specks) - np.count_nonzero(specks)
+    if pieces > MAX_SPECKS:
+        raise LayoutError(f"image: {pieces} pieces of wall, at most {MAX_SPECKS}; {CLEANED}")
+    return floor | specks[parts]
 
 
 def _contour(floor: Bools) -> Polygon:
     """The outline of `floor` in pixels, between the centres of its pixels and of those beside them."""
     corners = sum(int(np.count_nonzero(np.diff(floor, axis=axis))) for axis in (0, 1))  # one at each edge of a pixel
     if corners > MAX_CORNERS:
-        raise LayoutError(f"image: its walls have {corners} corners, at most {MAX_CORNERS}")
+        raise LayoutError(f"image: its walls have {corners} corners, at most {MAX_CORNERS}; {CLEANED}")
     generator = contourpy.contour_generator(z=floor.astype(np.float64), fill_type=contourpy.FillType.OuterOffset)
     filled: Any = generator.filled(0.5, 2.0)
     points, offsets = filled

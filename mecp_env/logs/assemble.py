@@ -17,7 +17,7 @@ from mecp_env.core.se2 import between, chained, composed, interpolated
 from mecp_env.logs.clock import FASTEST_M_S, Clock, ascending_rows, carried, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
-from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean
+from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean, take_metres
 
 FARTHEST_M = 1e8  # no pose is farther: world coordinates have millions of m
 GAP = 5.0  # medians between two scans
@@ -59,6 +59,7 @@ def assemble(
     counts, found = recording.counts, len(recording.sweeps)
     _leave_out_still(recording)
     set_stamps(recording, clock)
+    take_metres(recording)
     readings = _readings(recording, max_range_m, field_of_view_deg)
     sweeps = recording.sweeps
     mount, reference = _mount(recording, sweeps, counts)

@@ -124,7 +124,8 @@ def _files(path: Path) -> list[Path]:
     """What to read: a file, the folder of a ROS 2 bag, or all files of one that has no description."""
     if (path / "metadata.yaml").is_file():
         return [path]
-    return [file for file in (sorted(path.iterdir()) if path.is_dir() else [path]) if file.suffix in SUFFIXES]
+    files = [file for file in sorted(path.iterdir()) if file.is_file()] if path.is_dir() else [path]
+    return [file for file in files if file.suffix in SUFFIXES]
 
 
 def read_bag(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import cmath
 import math
 
 import numpy as np
@@ -18,21 +19,33 @@ OPPOSITE = -0.8  # the correlation of turns from here down is that of a mirrored
 LEAST_MOVE_M, STRAIGHT_RAD = 0.02, math.radians(5.0)  # of one step that counts as straight on
 MOVES, AGREE = 8, 0.8  # steps straight on, whose directions must agree so well
 LEAST_YAW_RAD = math.radians(15.0)
+LEAST_FARTHER, MOST_FARTHER = 0.5, 2.0  # by the scans than by the odometry: beyond, units differ,
+MOST_SCALE = 10.0  # which the option can mend so far
+STEADY_SHARE = 0.8  # of the steps are as much farther as most: no failures of registration
 
 
-def laser_fault(log: Log) -> str | None:
+def laser_fault(log: Log, distance_scale: float = 1.0) -> str | None:
     """What is wrong with the laser, with the option that mends it; None where scans and odometry agree, or too few do.
 
-    The check needs a few turns, or some metres straight on.
+    The check needs a few turns, or some metres straight on. Distances of the odometry count `distance_scale` times.
     """
     if log.T_odom_robot is None or not np.isfinite(log.T_odom_robot).all():
         return None
     rows = _moving(log.T_odom_robot)
-    odometry = between(log.T_odom_robot[rows[:-1]], log.T_odom_robot[rows[1:]])
+    odometry = between(log.T_odom_robot[rows[:-1]], log.T_odom_robot[rows[1:]]) * (distance_scale, distance_scale, 1.0)
     path = composed(registered_path(log, rows.tolist()), log.T_robot_laser) if len(rows) > 1 else np.zeros((1, 3))
     scans = between(path[:-1], path[1:])  # of the laser, in its frame
     mirrored = _are_opposite(odometry[:, 2], scans[:, 2])
-    yaw = _yaw(odometry, scans, -log.T_robot_laser[2], mirrored)
+    turn = _turn(odometry, scans, -log.T_robot_laser[2], mirrored)
+    farther = abs(turn)
+    if not LEAST_FARTHER < farther < MOST_FARTHER:
+        mends = max(farther, 1.0 / farther) < MOST_SCALE
+        option = f"--noise.distance-scale {farther:.3g} where the odometry is wrong, or " * mends
+        return (
+            f"the robot drives {farther:.3g} times as far by its scans as by its odometry, readings and poses in m "
+            f"expected: try {option}--odometry none"
+        )
+    yaw = -cmath.phase(turn)
     turned, degrees = abs(yaw) > LEAST_YAW_RAD, _whole_degrees(yaw)
     options = ["--mirror"] * mirrored + [f"--laser-yaw-deg {degrees}"] * turned
     if not options:
@@ -72,18 +85,22 @@ def _are_opposite(odometry: Array, scans: Array) -> bool:
     return size > 0.0 and float((a * b).sum()) < OPPOSITE * size
 
 
-def _yaw(odometry: Array, scans: Array, heading: float, mirrored: bool) -> float:
-    """rad by which the heading of the laser must be larger, so that both drive in the same direction; 0 if unknown.
+def _turn(odometry: Array, scans: Array, heading: float, mirrored: bool) -> complex:
+    """By what the motion of the odometry is multiplied in that of the scans: how much farther, and turned by how much.
 
-    `heading` is that of the robot in the frame of the laser, as the log says.
+    `heading` is that of the robot in the frame of the laser, as the log says. 1 where too little is straight on, or
+    where single motions differ much, as along a corridor whose walls do not show how far the robot drives.
     """
     a = (odometry[:, 0] + 1j * odometry[:, 1]) * np.exp(1j * heading)
     b = scans[:, 0] + 1j * scans[:, 1]
     moves: Bools = (abs(a) > LEAST_MOVE_M) & (abs(odometry[:, 2]) < STRAIGHT_RAD) & (abs(b) > 0.5 * LEAST_MOVE_M)
     if moves.sum() < MOVES:
-        return 0.0
+        return 1.0
     a, b = a[moves], (b.conj() if mirrored else b)[moves]
     common, size = complex((a.conj() * b).sum()), float((abs(a) * abs(b)).sum())
-    if abs(common) < AGREE * size or not 0.5 < abs(b).sum() / abs(a).sum() < 2.0:
-        return 0.0
-    return -math.atan2(common.imag, common.real)
+    farther = abs(b) / abs(a)
+    middle = float(np.median(farther))
+    steady = (abs(np.log(farther / middle)) < math.log(MOST_FARTHER)).mean() > STEADY_SHARE
+    if abs(common) < AGREE * size or not (steady or LEAST_FARTHER < middle < MOST_FARTHER):
+        return 1.0
+    return middle * common / abs(common)

@@ -25,13 +25,17 @@ FORMATS = (
     f"{', '.join(CARMEN)} (CARMEN), .csv, .tsv, .txt, .dat (BreezySLAM), these also packed as {PACKED}, .npz, .bag, "
     ".db3, .mcap or the folder of a bag"
 )
+ECHOED = "messages as `rostopic echo` prints them: record a bag instead (`rosbag record`, `ros2 bag record`)"
 FOREIGN = {  # how files begin that are no logs as they are
     b"version https://git-lfs": "a pointer of Git LFS: `git lfs pull` fetches the file",
     b"<!doctype": "a web page",
     b"<html": "a web page",
     b"\xff\xfe": "text in UTF-16: save it as UTF-8",
     b"\xfe\xff": "text in UTF-16: save it as UTF-8",
-    b"pk\x03\x04": "packed by zip: unpack it first",
+    b"pk\x03\x04": "packed by zip: unpack it first, or save a spreadsheet as .csv",
+    b"header:": ECHOED,
+    b"---": ECHOED,
+    b"{": "JSON: write a table or an .npz (docs/logs.md)",
     b"\xfd7zxz": "packed by xz: unpack it first",
     b"bzh": "packed by bzip2: unpack it first",
     b"\x28\xb5\x2f\xfd": "packed by zstd: unpack it first",
@@ -103,15 +107,17 @@ def _check_file(path: Path, suffix: str) -> None:
     """Raise `LogError` for what is no log by its name or by its first bytes."""
     if not exists(path):
         raise LogError("no such file")
-    if path.is_file() and not path.stat().st_size:
-        raise LogError("an empty file")
-    if path.is_file():
-        _check_start(path, suffix)
-    if is_bag(path):
-        return
     if path.is_dir():
-        raise LogError("a folder without a bag; name a file")
-    _check_name(path, suffix)
+        if not is_bag(path):
+            raise LogError("a folder without a bag; name a file")
+        return
+    if not path.is_file():
+        raise LogError("no plain file, but a pipe or a device: save it as a file first")
+    if not path.stat().st_size:
+        raise LogError("an empty file")
+    _check_start(path, suffix)
+    if not is_bag(path):
+        _check_name(path, suffix)
 
 
 def _check_name(path: Path, suffix: str) -> None:
@@ -128,9 +134,16 @@ def _check_start(path: Path, suffix: str) -> None:
     foreign = _named(FOREIGN, start.lstrip().lower())
     if foreign and suffix != ".npz":
         raise LogError(f"not a log as it is, but {foreign}")
+    _check_kind(path, suffix, start)
+
+
+def _check_kind(path: Path, suffix: str, start: bytes) -> None:
+    """Raise `LogError` for a file that begins as no text, or as no bag, where its name says so."""
     binary = _named(BINARY, start)
     if binary and suffix not in binary:
         raise LogError(f"not what its name says, but {binary}: rename it")
+    if is_bag(path) and not binary:
+        raise LogError("no bag, or damaged: it begins as none does")
     if suffix in TEXTS and b"\0" in start and not start.startswith(MAGIC):
         raise LogError("no text as its name says, or text in UTF-16: save it as UTF-8")
 

@@ -85,6 +85,13 @@ class Sweep:
         beams = self.geometry._replace(start_rad=-self.geometry.start_rad, step_rad=-self.geometry.step_rad)
         return replace(self, geometry=beams)
 
+    def scaled(self, factor: float, middle: float) -> Sweep:
+        """The sweep with readings times a factor, and limits, too, unless the largest is below the `middle` reading."""
+        beams = self.geometry
+        if middle <= beams.max_range_m:
+            beams = beams._replace(min_range_m=factor * beams.min_range_m, max_range_m=factor * beams.max_range_m)
+        return replace(self, ranges=factor * self.ranges, geometry=beams)
+
 
 @dataclass(slots=True, eq=False)
 class Track:
@@ -143,7 +150,9 @@ NEAREST_M = 0.02  # nor nearer: such readings are codes of errors, as of Hokuyo 
 LIMITS_M = (8.191, 16.0, 30.0, 32.0, 50.0, 80.0, 81.91)  # common readings of lasers where nothing returns
 BELOW_LIMIT = 0.99  # of the largest range: from here on a reading is no return
 FEWEST_BEAMS, NARROWEST_DEG, MOST_TURNS = 8, 10.0, 3.0
-USUAL_M = 100.0  # half of the readings are nearer: farther ones are in mm or cm
+USUAL_M = 100.0  # half of the readings that differ are nearer: farther ones are in mm or cm,
+FARTHEST_CM, NEARLY_ALL = 2000.0, 0.95  # in cm where nearly all of them are within a building
+MOST_ASKED = 1000  # sweeps that tell the unit of their readings
 SAMPLE = 2_000_000  # readings that are searched for codes, at most
 CODES, BELOW = 16, 20  # distinct readings at the top that may be codes, each compared with so many below
 FEWEST_CODES, TIMES = 5, 5.0  # a code comes at least so often, and so many times as often as readings below
@@ -155,6 +164,22 @@ class Readings(NamedTuple):
     ranges: Array  # (n,B) m, nan: no return
     bearings: Array  # (B,) rad, ascending in (-pi, pi]
     limit_m: float  # all readings are below
+
+
+def take_metres(recording: Recording) -> None:
+    """Take readings that no laser has in m for mm or cm, with the limits of the laser that are as large.
+
+    Readings that differ count once each, so that a code for no return, however often it comes, does not decide.
+    """
+    asked = recording.sweeps[:: 1 + len(recording.sweeps) // MOST_ASKED]
+    values = np.unique(np.concatenate([sweep.ranges for sweep in asked] or [np.zeros(0)]))
+    values = values[np.isfinite(values) & (values > 0.0)]
+    middle, most = np.quantile(values, (0.5, NEARLY_ALL)).tolist() if len(values) else (0.0, 0.0)
+    if middle <= USUAL_M:
+        return
+    unit, factor = ("cm", 1e-2) if most < FARTHEST_CM else ("mm", 1e-3)
+    recording.notes.append(f"readings are taken for {unit}: half of them are above {middle:.0f}")
+    recording.sweeps = [sweep.scaled(factor, middle) for sweep in recording.sweeps]
 
 
 def clean(

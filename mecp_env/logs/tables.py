@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
+import re
 from collections import Counter
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -16,12 +16,13 @@ from mecp_env.core.files import read_bytes
 from mecp_env.logs.beam_rows import BeamColumns, read_beam_rows
 from mecp_env.logs.carmen import MAGIC, MOST_BYTES, PACKED, unpacked
 from mecp_env.logs.cells import Row, flat, numbers, rows_of
-from mecp_env.logs.columns import UNITS, Place, columns_of
-from mecp_env.logs.readings import USUAL_M, Budget, Geometry, Recording, Sweep
+from mecp_env.logs.columns import Place, columns_of
+from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
 
 TABLES = (".csv", ".tsv", ".txt", ".dat")
-HEAD, MOST_ASKED = 10, 1000  # rows that may tell the names and where lists are, and sweeps the unit of their readings
-FARTHEST_CM = 800.0  # half of the readings of a room are nearer
+HEAD = 10  # rows that may tell the names and where lists are
+START = 2**12  # bytes of a table before which it says what it is of
+RPLIDAR = re.compile(rb"rplidar|slamtec|angule|theta:\s*[\d.]+\s+dist:", re.IGNORECASE)  # as its tools write it
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
 MOST_TICKS = 1e18  # of a counter, and microseconds of a stamp
 FIRST_RANGE, DAT_VIEW_DEG, DAT_AHEAD_M, DAT_LIMIT_M = 24, 240.0, 0.145, 5.6  # of its URG-04LX
@@ -38,30 +39,19 @@ def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     if not recording.sweeps:
         found = f"no row that can be read ({recording.counts['damaged rows']} damaged rows)"
         raise LogError("; ".join((found, *recording.notes)))
-    _to_metres(recording)
     return recording
-
-
-def _to_metres(recording: Recording) -> None:
-    """Take readings that no laser has in m for mm or cm: half of them are farther than `USUAL_M`."""
-    ranges = np.concatenate([sweep.ranges for sweep in recording.sweeps[:: 1 + len(recording.sweeps) // MOST_ASKED]])
-    seen = ranges[np.isfinite(ranges) & (ranges > 0.0)]
-    middle = float(np.median(seen)) if len(seen) else 0.0
-    if middle <= USUAL_M:
-        return
-    unit = "mm" if middle > FARTHEST_CM else "cm"
-    recording.notes.append(f"readings are taken for {unit}: half of them are above {middle:.0f}")
-    recording.sweeps[:] = [replace(sweep, ranges=UNITS[unit] * sweep.ranges) for sweep in recording.sweeps]
 
 
 def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None:
     """All rows behind the names."""
     head = list(islice(rows_of(data, comments=True), HEAD))
+    _check_lists(head)
     header = header_of(head)
     names, behind = header.cells, (row for row in rows_of(data) if row.number > header.number)
     of_beams = BeamColumns.of(names)
     if of_beams is not None:
         read_beam_rows(behind, of_beams, recording)
+        _turn_over(data, recording)
         return
     sample = next((row.cells for row in head if row.number > header.number and len(row.cells) == len(names)), [])
     columns = columns_of(names, sample, view_deg, recording.notes)
@@ -75,10 +65,24 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
             recording.counts["rows that end early"] += len(words) < len(columns.names)
 
 
+def _check_lists(head: list[Row]) -> None:
+    """Raise `LogError` where a list is not whole."""
+    if any("..." in cell or "[" in cell for row in head for cell in row.cells):
+        raise LogError("a list has '...' or line ends in it, as NumPy prints it: write plain numbers, or save an .npz")
+
+
+def _turn_over(data: bytes, recording: Recording) -> None:
+    """Turn the bearings of an RPLIDAR round, which count clockwise."""
+    if RPLIDAR.search(data[:START]):
+        recording.sweeps = [sweep.mirrored() for sweep in recording.sweeps]
+        recording.notes.append("rows of an RPLIDAR, whose bearings count clockwise: they are turned round")
+
+
 def header_of(head: list[Row]) -> Row:
     """The first row of names that has as many cells as most rows, or the first; names before each cell count as one."""
-    if head and head[0].names:
-        return Row(0, list(head[0].names))
+    before_cells = (Row(row.number - 1, list(row.names)) for row in head if row.names)
+    if found := next(filter(has_names, before_cells), None):
+        return found
     named = [row for row in head if has_names(row)]
     usual = Counter(len(row.cells) for row in head).most_common(1)
     fitting = [row for row in named if len(row.cells) == usual[0][0]]

@@ -79,7 +79,7 @@ MOST_BYTES = 1_000_000  # of policy.json
 NAMED = re.compile(r"vec_?normalize", re.IGNORECASE)  # in the names of statistics of VecNormalize
 STATISTICS, MOST_STATISTICS = b"VecNormalize", 100_000_000  # what their pickle contains, and its most bytes
 INSTALL = "install the extra `rl`: pip install 'mecp_env[rl]' (PyTorch first, see the README)"
-CLASS_PATH = re.compile(r"([A-Za-z_][\w.]*):([A-Za-z_]\w*)")
+CLASS_PATH = re.compile(r"(\w[\w. -]*):([A-Za-z_]\w*)")  # of a file with any name, too: `my-policies/2nd one.py`
 FILE_PATH = re.compile(r"(.+)\.py:(\w+)")
 INTERFACE = ("actions", "reset", "act")
 

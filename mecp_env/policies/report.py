@@ -238,10 +238,10 @@ def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: boo
     shorter = replace(setting, max_steps=min(setting.max_steps, LONGEST))
     films = [record(policy, shorter, trust) for policy in policies]
     every = max(film.every for film in films)
-    last = max(film.every * (len(film.frames) - 1) for film in films)
+    last = max(film.every * (len(film) - 1) for film in films)
     whole = Film()
     for step in range(0, last + every, every):  # an episode that is over stays at its last picture
-        whole.frames.append(mosaic([film.frames[min(-(-step // film.every), len(film.frames) - 1)] for film in films]))
+        whole.add(mosaic([film[min(-(-step // film.every), len(film) - 1)] for film in films]))
     whole.save(path)
 
 
@@ -259,7 +259,7 @@ def record(policy: str, setting: Setting, trust: bool = False) -> Film:
         return thumbnail(env.get_wrapper_attr("view")(), PANEL, policy, words)
 
     end = run_policy(env, made, lambda info: film.offer(info["period"], lambda: picture(info)), FIRST)
-    film.frames.append(picture(end.info, "    ..." if end.info["goals"] else "    done"))
+    film.add(picture(end.info, "    ..." if end.info["goals"] else "    done"))
     env.close()
     return film
 

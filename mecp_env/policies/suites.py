@@ -267,8 +267,8 @@ def checksum_of(content: Any) -> str:
 def read_submission(path: Path) -> dict[str, Any]:
     """A result file. Raises `ConfigError` for another format, version or suite, a wrong hash, or a damaged file."""
     try:
-        if path.is_dir():
-            raise ConfigError(f"a folder; {EXPECTED}")
+        if path.exists() and not path.is_file():
+            raise ConfigError(f"a folder, or no plain file; {EXPECTED}")
         content = read_json(path, MOST_BYTES)
         check_content(content.pop("checksum"), content)
     except OSError as error:

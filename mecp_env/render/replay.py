@@ -16,6 +16,7 @@ from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import palette
 from mecp_env.render.replay_page import (
+    PackedGrid,
     ReplayError,
     Versions,
     changed_cells,
@@ -38,18 +39,23 @@ CURVES = (  # metrics that are drawn over time, as far as a run has them, and th
     *(("rooms_found", 1.0), ("rooms", 1.0), ("doors_found", 1.0), ("doors", 1.0), ("contacts", 1.0)),
 )
 REWARD = "reward_"
-NO_PATH = np.empty((0, 2))
+NO_PATH = np.empty((0, 2))  # the page draws the paths from the poses
+NO_CELLS: dict[str, Any] = {
+    "label": np.empty((0, 0), np.uint8),
+    "polygon": np.empty((0, 0), np.bool_),
+    "room": np.empty((0, 0), np.int16),
+}
 
 
 @dataclass(slots=True, eq=False)
 class Frame:
     """One step: the messages of the estimator, which are immutable, and what is around them."""
 
-    view: SceneView
+    view: SceneView  # without the cells of its grid
     step: int
     seconds: float
     matched: Ints  # (k,) ids of the map polygon that was recognised, as it was then
-    grid: tuple[Bytes, Array]  # (H,W) codes of the cells, and the place (2,) of the first, m
+    grid: PackedGrid
     curves: Mapping[str, float]
 
 
@@ -86,9 +92,10 @@ class Recorder:
             known = self.before.map_polygons[output.associated.known].ids
         last = self.frames[-1] if self.frames else None
         same = last is not None and last.view.slam_output.grid.version == output.grid.version
-        grid = last.grid if last is not None and same else (codes(output.grid), output.grid.origin)
+        grid = last.grid if last is not None and same else PackedGrid.of(codes(output.grid), output.grid.origin)
         curves = {name: float(view.metrics[name]) for name, _ in CURVES if name in view.metrics}
-        short = replace(view, path_world=NO_PATH, path_map=NO_PATH)  # the page draws the paths from the poses
+        bare = replace(output, grid=replace(output.grid, **NO_CELLS))
+        short = replace(view, path_world=NO_PATH, path_map=NO_PATH, slam_output=bare)
         return Frame(short, self.steps, seconds, known, grid, curves | self.earned)
 
     def run(self, title: str, result: str = "") -> dict[str, Any]:

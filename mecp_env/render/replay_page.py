@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -61,14 +61,33 @@ def _differs(old: Row | None, new: Row) -> bool:
     return max(abs(a - b) for a, b in zip(old[2:], new[2:], strict=True)) > ENOUGH * spread
 
 
-def changed_cells(grids: Sequence[tuple[Bytes, Array]], cell_m: float) -> tuple[Array, list[int], list[Row]]:
+@dataclass(frozen=True, slots=True, eq=False)
+class PackedGrid:
+    """The cells of a grid, packed: a run has hundreds of large ones."""
+
+    packed: bytes
+    shape: tuple[int, ...]  # H, W
+    place: Array  # (2,) m: the lower left corner
+
+    @classmethod
+    def of(cls, codes: Bytes, place: Array) -> Self:
+        """That with the codes (H,W) of its cells."""
+        return cls(zlib.compress(codes.tobytes(), 1), codes.shape, place)
+
+    @property
+    def codes(self) -> Bytes:
+        """(H,W) those of its cells."""
+        return np.frombuffer(zlib.decompress(self.packed), np.uint8).reshape(self.shape)
+
+
+def changed_cells(grids: Sequence[PackedGrid], cell_m: float) -> tuple[Array, list[int], list[Row]]:
     """The lower left corner (2,) m of all grids together, their width and height in cells, and the changes.
 
-    `grids`: codes (H,W) and the lower left corner (2,) of each frame, the same object while nothing changed. The
+    `grids`: that of each frame, the same object while nothing changed. The
     changes of a frame are runs of cells: the first one, counted row by row, how many, their code; and so on.
     """
-    low = np.min([place for _, place in grids], axis=0)
-    high = np.max([place + cell_m * np.array(codes.shape[::-1]) for codes, place in grids], axis=0)
+    low = np.min([grid.place for grid in grids], axis=0)
+    high = np.max([grid.place + cell_m * np.array(grid.shape[::-1]) for grid in grids], axis=0)
     width, height = np.round((high - low) / cell_m).astype(int).tolist()
     shown, changes, last = np.zeros((height, width), np.uint8), list[Row](), None
     for grid in grids:
@@ -77,11 +96,10 @@ def changed_cells(grids: Sequence[tuple[Bytes, Array]], cell_m: float) -> tuple[
     return low, [width, height], changes
 
 
-def _laid(grid: tuple[Bytes, Array], low: Array, cell_m: float, shape: tuple[int, int]) -> Bytes:
-    codes, place = grid
-    column, row = np.round((place - low) / cell_m).astype(int).tolist()
+def _laid(grid: PackedGrid, low: Array, cell_m: float, shape: tuple[int, int]) -> Bytes:
+    column, row = np.round((grid.place - low) / cell_m).astype(int).tolist()
     whole = np.zeros(shape, np.uint8)
-    whole[row : row + codes.shape[0], column : column + codes.shape[1]] = codes
+    whole[row : row + grid.shape[0], column : column + grid.shape[1]] = grid.codes
     return whole
 
 
@@ -100,6 +118,7 @@ AGAIN = "run the command that made it again"
 MARK = re.compile(r"\{\{(\w+)\}\}")
 # What is made of a run, for any one and per byte of it as it is packed; of honest ones 5.4 bytes of text, 56 of values.
 JSON_BYTES, VALUE_BYTES = (2**23, 8), (2**25, 62)
+MOST_BYTES = 2**29  # of a page
 PACKED = re.compile(rb'<script id="run" type="text/plain" data-version="(\d{1,9})">([A-Za-z0-9+/=\s]*)</script>')
 
 
@@ -141,6 +160,10 @@ def play_again(path: Path, out: Path) -> int:
 
 def packed_run(path: Path) -> bytes:
     """The run in a page, as it is packed. Raises `ReplayError` and `OSError`."""
+    if path.exists() and not path.is_file():
+        raise ReplayError(f"{path}: a folder, or no plain file; {AGAIN}")
+    if path.stat().st_size > MOST_BYTES:
+        raise ReplayError(f"{path}: {path.stat().st_size} bytes, at most {MOST_BYTES}")
     found = PACKED.search(path.read_bytes())
     if found is None:
         raise ReplayError(f"{path}: no replay of mecp_env, or a part of it is missing; {AGAIN}")

@@ -6,6 +6,7 @@ A film of them as a GIF of bounded length and size.
 from __future__ import annotations
 
 import math
+import zlib
 from collections.abc import Callable
 from pathlib import Path
 
@@ -230,33 +231,48 @@ def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str, 
 
 
 class Film:
-    """Keeps evenly spaced frames of an episode whose length is not known: when full, every other one is dropped."""
+    """Keeps evenly spaced frames of an episode whose length is not known: when full, every other one is dropped.
+
+    Frames have few colours, so each is packed to a fiftieth.
+    """
 
     def __init__(self, most_frames: int = 160, every: int = 2) -> None:
         self.most_frames = most_frames
         self.every = every  # steps between two frames
-        self.frames: list[Bytes] = []
+        self._shape, self._packed = (0, 0, 0), list[bytes]()
+
+    def __len__(self) -> int:
+        return len(self._packed)
+
+    def __getitem__(self, row: int) -> Bytes:
+        """A frame (H,W,3)."""
+        return np.frombuffer(zlib.decompress(self._packed[row]), np.uint8).reshape(self._shape)
+
+    def add(self, frame: Bytes) -> None:
+        """Append a frame (H,W,3); all have one size."""
+        self._shape = frame.shape
+        self._packed.append(zlib.compress(frame.tobytes(), 1))
 
     def offer(self, step: int, draw: Callable[[], Bytes]) -> None:
         """Take the picture of a step, if it is one of those that are kept; `draw` is called only then."""
         if step % self.every:
             return
-        self.frames.append(draw())
-        if len(self.frames) > self.most_frames:
-            self.frames = self.frames[::2]
+        self.add(draw())
+        if len(self) > self.most_frames:
+            self._packed = self._packed[::2]
             self.every *= 2
 
     def save(self, path: Path, seconds: float = 16.0) -> None:
         """Write the film as a GIF that lasts about so long and repeats; the last frame stays a while."""
-        pictures = [Image.fromarray(frame) for frame in self.frames]
-        colours = _palette(self.frames)  # one for all: frames then differ only where something moved
+        colours = _palette(self)  # one for all: frames then differ only where something moved
+        pictures = (Image.fromarray(self[row]) for row in range(len(self)))
         plain = [picture.quantize(palette=colours, dither=Image.Dither.NONE) for picture in pictures]
         each = max(20, round(1000.0 * seconds / len(plain)))
         times = [each] * (len(plain) - 1) + [LAST_FRAME_MS]
         plain[0].save(path, save_all=True, append_images=plain[1:], duration=times, loop=0, optimize=True)
 
 
-def _palette(frames: list[Bytes]) -> Image.Image:
+def _palette(frames: Film) -> Image.Image:
     """A picture with the colours of some frames spread over the film, and patches of what is small but must be seen."""
     count = min(len(frames), 5)
     some = [frames[i] for i in np.linspace(0, len(frames) - 1, count).astype(int)]

@@ -10,7 +10,7 @@ from mecp_env.core.errors import ConfigError, LogError
 from mecp_env.evaluation.log_run import LogDrive, LogRun, LogRunConfig, config_for, fault_of, run_log
 from mecp_env.logs import Log, read_log
 from mecp_env.slam.pipeline import SlamPipeline
-from tests.logs.files import BEAMS, drive, write_archive
+from tests.logs.files import BEAMS, BEARINGS, drive, write_archive
 
 
 def log_of(tmp_path: Path, **arrays: object) -> Log:
@@ -103,7 +103,14 @@ def test_few_scans_but_for_those_left_out_on_request(run: LogRun) -> None:
     assert fault_of(resting, LogRunConfig(rest_m=0.5)) is None
 
 
-def test_a_log_of_one_scan_is_no_success(tmp_path: Path) -> None:
-    t, poses, ranges = drive(1)
+@pytest.mark.parametrize("scans", [1, 4])
+def test_a_log_of_few_scans_is_no_success(tmp_path: Path, scans: int) -> None:
+    t, poses, ranges = drive(scans)
     log = log_of(tmp_path, t=t, ranges=ranges, odo=poses, ref=None, rel=None)
-    assert "only one scan" in str(fault_of(run_log(log), LogRunConfig()))
+    assert f"only {scans} of the scans" in str(fault_of(run_log(log), LogRunConfig()))
+
+
+def test_a_run_without_corners_is_no_success(tmp_path: Path) -> None:
+    wall = np.where(abs(BEARINGS) < 1.2, 1.0 / np.cos(BEARINGS), np.nan)
+    run = run_log(log_of(tmp_path, ranges=np.tile(wall, (12, 1))))
+    assert "no landmark" in str(fault_of(run, LogRunConfig()))

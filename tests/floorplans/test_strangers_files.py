@@ -156,6 +156,12 @@ def test_a_scale_that_is_not_in_metres_is_told(tmp_path: Path) -> None:
         load_plan(tmp_path / "a.json")
 
 
+def test_dust_of_a_laser_is_erased(tmp_path: Path) -> None:
+    picture = np.kron(plans.two_rooms_picture(), np.ones((6, 6), np.uint8))
+    picture[np.random.default_rng(0).random(picture.shape) < 0.05] = 205
+    assert len(load_plan(plans.map_pair(tmp_path, picture, resolution=plans.RESOLUTION_M / 6)).rooms) == 2
+
+
 @pytest.mark.parametrize("name", ["a.tif", "a.png"])
 def test_of_several_pictures_the_first_is_read_with_a_warning(name: str, tmp_path: Path) -> None:
     image = Image.fromarray(plans.two_rooms_picture())

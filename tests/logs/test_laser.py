@@ -76,6 +76,15 @@ def test_a_laser_that_is_not_mounted_as_the_log_says(path: Path, wrong: dict[str
     assert said in str(laser_fault(read_log(path, ReadOptions(**wrong))))
 
 
+def test_units_that_differ_between_scans_and_odometry(path: Path) -> None:
+    log = read_log(path)
+    feet = replace(log, ranges=log.ranges / 0.3048, max_range_m=log.max_range_m / 0.3048)
+    assert "3.31 times as far by its scans" in str(laser_fault(feet))
+    assert laser_fault(feet, distance_scale=1.0 / 0.3048) is None
+    ticks = replace(log, T_odom_robot=log.T_odom_robot * (0.05, 0.05, 1.0))
+    assert "--noise" not in str(laser_fault(ticks))
+
+
 def test_a_sound_laser_has_no_fault_and_its_scans_give_odometry(path: Path) -> None:
     assert laser_fault(read_log(path)) is None
     log = read_log(path, ReadOptions(use_odometry=False))

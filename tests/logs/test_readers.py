@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 import re
 from pathlib import Path
 from typing import Any
@@ -10,10 +11,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core.errors import LogError
+from mecp_env.core.errors import ConfigError, LogError
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
 from mecp_env.logs.odometry_model import arcs, reading
+from mecp_env.policies.suites import read_submission
+from mecp_env.render.replay_page import ReplayError, read_page
 from mecp_env.world.config import OdometryConfig
 from tests.logs.files import (
     BEAMS,
@@ -154,6 +157,13 @@ def test_files_that_are_something_else(tmp_path: Path, start: bytes, said: str) 
             read_log(tmp_path / name)
 
 
+def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a.log")
+    for read, error in ((read_log, LogError), (read_page, ReplayError), (read_submission, ConfigError)):
+        with pytest.raises(error, match="no plain file"):
+            read(tmp_path / "a.log")
+
+
 def test_folder_and_missing(tmp_path: Path) -> None:
     (tmp_path / "c.log").mkdir()
     for name, said in (("", "a folder without a bag"), ("b.log", "no such file"), ("c.log", "folder")):
@@ -263,8 +273,7 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "objects": ({"t": np.array([{}], object), "ranges": 0.0, "angles": 0.0}, "damaged"),
     "5 degrees": (degrees(5.0), r"are \d+\.\d turns, angles in rad expected"),
     "0.75 degrees": (degrees(0.75), r"are \d+\.\d turns, angles in rad expected"),
-    "cm": ({"ranges": 100.0 * SOME}, r"half of the readings are beyond \d+ m, at most 100 m expected"),
-    "mm": ({"ranges": 1000.0 * SOME}, r"half of the readings are beyond \d+ m, at most 100 m expected"),
+    "um": ({"ranges": 1e6 * SOME}, r"half of the readings are beyond \d+ m, at most 100 m expected"),
     "a limit of 5 cm": ({"max_range_m": 0.05}, "no reading from 0 to"),
     "a limit of 1 cm": ({"max_range_m": 0.012}, "no reading from 0 to"),
     "odometry in mm": (
@@ -283,6 +292,20 @@ def test_archives_of_wrong_shapes_and_units(tmp_path: Path, name: str) -> None:
     arrays, said = BAD[name]
     with pytest.raises(LogError, match=said):
         read_log(write_archive(tmp_path / "a.npz", **arrays))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [("mm", 1000.0), ("cm", 100.0)])
+@pytest.mark.parametrize("limit", [1.0, 0.0])
+def test_readings_that_no_laser_has_in_metres(tmp_path: Path, unit: str, factor: float, limit: float) -> None:
+    t, poses, ranges = drive()
+    scaled = factor * ranges
+    scaled[:, ::2] = 9999.0  # whatever comes most often, if it is one value
+    most = {"max_range_m": 9.0 * (factor if limit else 1.0)}
+    lines = [flaser(*row).replace("9999.000000", "9999") for row in zip(t, poses, scaled, strict=True)]
+    for log in (read_log(write_archive(tmp_path / "a.npz", ranges=scaled, **most)), read_lines(tmp_path, lines)):
+        np.testing.assert_allclose(log.ranges[:, 1::2], ranges[:, 1::2], atol=1e-6)
+        assert np.isnan(log.ranges[:, ::2]).all()
+        assert any(f"taken for {unit}" in note for note in log.notes)
 
 
 def test_a_limit_or_mount_in_another_unit(tmp_path: Path) -> None:

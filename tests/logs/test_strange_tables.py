@@ -145,8 +145,8 @@ def by_beam(head: str, line: str, bearings: np.ndarray = DEGREES, mm: float = 1.
         (by_beam("t,x,y,yaw,angle,range", "{t:f},{x:f},{y:f},{h:f},{a:f},{r:f}", BEARINGS), True, True),
         (by_beam("stamp;angle_deg;distance_mm;quality", "{t:f};{a:f};{r:f};47", mm=1e3), True, False),
         (by_beam("scan_id angle distance", "{k} {a:f} {r:f}"), False, False),
-        (by_beam("#Angule Distance Quality", "{a:f} {r:f} 47", mm=1e3), False, False),
-        (by_beam("", "   theta: {a:f} Dist: {r:f} Q: 47", mm=1e3), False, False),
+        (by_beam("#Angle Distance Quality", "{a:f} {r:f} 47", mm=1e3), False, False),
+        (by_beam("opened: COM3 at: 115200\n", "Angle: {a:f}, Distance: {r:f}", mm=1e3), False, False),
         (by_beam("angle,x,y,range", "{a:f},0.1,0.2,{r:f}"), False, False),  # x and y of the points
     ],
 )
@@ -158,6 +158,20 @@ def test_a_row_per_beam(tmp_path: Path, text: str, has_stamps: bool, has_poses: 
     assert (log.T_odom_robot is not None) == has_poses
     if has_poses:
         check_path(log)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        by_beam("#Angule Distance Quality", "{a:f} {r:f} 47", mm=1e3),
+        by_beam("SLAMTEC Lidar S/N: 7\nVersion: 1.12", "   theta: {a:f} Dist: {r:f} Q: 47", mm=1e3),
+    ],
+)
+def test_an_rplidar_counts_clockwise(tmp_path: Path, text: str) -> None:
+    log = read(tmp_path, text, "a.log" if "theta" in text else "a.txt")
+    np.testing.assert_allclose(log.ranges, RANGES[:, ::-1], atol=1e-5)
+    assert any("turned round" in note for note in log.notes)
+    assert "damaged rows" not in log.counts
 
 
 def test_beams_of_any_number_and_spacing_around(tmp_path: Path) -> None:
@@ -181,6 +195,12 @@ def test_beams_of_any_number_and_spacing_around(tmp_path: Path) -> None:
         ("a.bag", b"\x89MCAP0\r\n", r"\.mcap"),
         ("a.csv", b"SQLite format 3\0", r"\.db3"),
         ("a.csv", b"angle,range\n" + b"1,2\n" * 5, "5 rows per scan, 8 to"),
+        ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2. ... 3. 4.]"\n', "as NumPy prints it"),
+        ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2.\n 3. 4.]"\n', "as NumPy prints it"),
+        ("a.txt", b'{"t": 0.0, "ranges": [1.0, 2.0]}\n', "JSON: write"),
+        ("a.yaml", b"header:\n  seq: 1\n---\n", "record a bag"),
+        ("a.bag", bytes(100), "begins as none does"),
+        ("a.xlsx", b"PK\x03\x04", "spreadsheet as .csv"),
     ],
 )
 def test_files_that_are_not_what_their_name_says(tmp_path: Path, name: str, content: bytes, said: str) -> None:

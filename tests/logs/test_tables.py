@@ -170,12 +170,3 @@ def test_a_list_in_a_cell_and_what_messages_say_of_the_laser(tmp_path: Path) -> 
         lines = path.read_text().splitlines()
         path.write_text("\n".join([lines[0], "1,2", *lines[1:]]))  # a first row that is damaged
         assert (len(read_log(path)), read_log(path).counts["damaged rows"]) == (len(log), 1)
-
-
-@pytest.mark.parametrize(("unit", "factor"), [("mm", 1000.0), ("cm", 100.0)])
-def test_readings_that_no_laser_has_in_metres(tmp_path: Path, unit: str, factor: float) -> None:
-    _, _, ranges = drive()
-    texts = [",".join(f"{factor * r:.6f}" for r in one) for one in ranges]
-    log = read_log(written(tmp_path / "a.csv", BEARINGS_DEG, texts))
-    np.testing.assert_allclose(log.ranges, ranges, atol=1e-6)
-    assert any(f"taken for {unit}" in note for note in log.notes)

@@ -94,10 +94,11 @@ def test_what_a_policy_raises_names_it(raised: BaseException) -> None:
 
 def test_a_file_below_the_working_directory_names_its_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "deep").mkdir()
-    (tmp_path / "deep/own_file.py").write_text("from mecp_env.policies.explorers import Nearest as Own\n")
+    for file in ("own_file.py", "2nd own-file.py"):
+        (tmp_path / "deep" / file).write_text("from mecp_env.policies.explorers import Nearest as Own\n")
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("sys.path", [*sys.path])
-    for name in ("deep/own_file.py:Own", "./deep/own_file.py:Own", f"{tmp_path}/deep/own_file.py:Own"):
+    for name in ("deep/own_file.py:Own", "./deep/own_file.py:Own", f"{tmp_path}/deep/2nd own-file.py:Own"):
         assert type(make_policy(name)) is Nearest
         assert registry.policy_checksum(name)
     with pytest.raises(ConfigError, match=r"did you mean 'deep/own_file\.py'"):

@@ -123,7 +123,7 @@ def test_what_cannot_be_compared_is_refused(result: Path, capsys: pytest.Capture
     result.write_text("{}")
     with pytest.raises(ConfigError, match=r"it has no field 'checksum'.*mecp-env submit"):
         read_submission(result)
-    with pytest.raises(ConfigError, match="a folder; name result files"):
+    with pytest.raises(ConfigError, match="a folder, or no plain file; name result files"):
         read_submission(result.parent)
     with pytest.raises(ConfigError, match=r"gone\.json: No such file"):
         read_submission(result.with_name("gone.json"))
