@@ -28,7 +28,7 @@ from mecp_env.core.errors import MecpError
 from mecp_env.core.files import read_bytes, write_atomic
 from mecp_env.core.provenance import checksum, dependencies
 from mecp_env.core.sensors import LaserView, Odometry, Scan
-from mecp_env.core.snapshot import FileKind, check_header
+from mecp_env.core.snapshot_file import FileKind, check_header
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import GeneratorSpec, split_seed

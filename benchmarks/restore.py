@@ -27,7 +27,7 @@ from benchmarks.restore_logs import same
 from benchmarks.tables import listed, table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
 from mecp_env.core.errors import PlanWarning
-from mecp_env.core.snapshot import FileKind, load_snapshot, save_snapshot
+from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
 from mecp_env.world.config import DIFFICULTIES, SPLITS

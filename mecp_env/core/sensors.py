@@ -20,6 +20,8 @@ from mecp_env.core.se2 import as_bearings, compose, inverse
 from mecp_env.core.settings import Settings
 
 SEEN_NEAR_M = 0.3  # even a weak laser sees what is as near
+WIDEST_RAD = 3.0 * math.pi  # bearings of a turn are nearer to each other, whatever they count from
+FARTHEST_M = 100.0  # half of the ranges of a scan are nearer
 
 
 class LaserView(Settings):
@@ -144,9 +146,20 @@ class Scan:
             raise SensorError(f"ranges, bearings: shapes {r.shape} and {given.shape}, both (B,) with B >= 1 expected")
         if not (np.isfinite(given).all() and 0.0 < max_range_m < math.inf):
             raise SensorError(f"bearings, max_range_m: finite, and max_range_m = {max_range_m!r:.80} above 0, expected")
+        _check_units(r, given, max_range_m)
         angles, first = np.unique(as_bearings(-given if clockwise else given), return_index=True)
         hit = np.isfinite(r[first]) & (r[first] > 0.0) & (r[first] < max_range_m)
         return cls(np.where(hit, r[first], max_range_m)[None], angles[None], hit[None], float(max_range_m))
+
+
+def _check_units(ranges: Array, bearings: Array, max_range_m: float) -> None:
+    """Raise `SensorError` for bearings that can only be degrees, and for ranges that can only be mm or cm."""
+    if np.ptp(bearings) > WIDEST_RAD:
+        raise SensorError(f"bearings: from {bearings.min():g} to {bearings.max():g}, within a turn in rad expected")
+    seen = ranges[np.isfinite(ranges) & (ranges > 0.0)]
+    middle = float(np.median(seen)) if len(seen) else 0.0
+    if middle > max(FARTHEST_M, 2.0 * max_range_m):
+        raise SensorError(f"ranges: half are above {middle:g}, m expected, up to max_range_m = {max_range_m:g}")
 
 
 @carrier

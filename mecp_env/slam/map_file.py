@@ -19,7 +19,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.provenance import __version__
 from mecp_env.core.settings import shown
-from mecp_env.core.snapshot import FileKind, StateError, damage_refused, decode, encode, load_snapshot, save_snapshot
+from mecp_env.core.snapshot import StateError, damage_refused, decode, encode
 from mecp_env.core.snapshot_check import (
     FAR,
     LONG,
@@ -30,6 +30,7 @@ from mecp_env.core.snapshot_check import (
     check_shapes,
     examples_of,
 )
+from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam.association.rivals import NoCorrespondences, OracleAssociator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters.core import LandmarkFilter

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core.snapshot import FileKind, StateError, decode, encode, load_snapshot, save_snapshot
+from mecp_env.core.snapshot import StateError, decode, encode
+from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.episode.observations import TravelledPath
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import FEATURE, Cell, CornerKind, FeatureTable

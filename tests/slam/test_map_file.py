@@ -13,7 +13,8 @@ import pytest
 from benchmarks import map_size
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.snapshot import FileKind, encode, save_snapshot
+from mecp_env.core.snapshot import encode
+from mecp_env.core.snapshot_file import FileKind, save_snapshot
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
 from mecp_env.slam.association import MecpAssociator

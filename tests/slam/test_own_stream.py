@@ -39,6 +39,10 @@ def test_wrong_shapes_are_named() -> None:
         Scan.of([1.0, 2.0], [0.0], 5.0)
     with pytest.raises(SensorError, match="max_range_m"):
         Scan.of([1.0], [0.0], 0.0)
+    with pytest.raises(SensorError, match="bearings: from -180 to 179, within a turn in rad expected"):
+        Scan.of(np.ones(360), np.arange(-180.0, 180.0), 5.0)
+    with pytest.raises(SensorError, match="ranges: half are above 1500, m expected, up to max_range_m = 5"):
+        Scan.of(np.full(360, 1500.0), np.radians(np.arange(360)), 5.0)
     with pytest.raises(SensorError, match="noise"):
         Odometry.between(np.zeros(3), np.zeros(3), (0.0, 0.1))
 
