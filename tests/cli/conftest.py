@@ -1,7 +1,5 @@
 """Figures of few pixels or none, for tests of what else a command does: to compute pixels is most of its time."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Standard output whose reader has gone."""
 
-from __future__ import annotations
-
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stdout

@@ -1,7 +1,5 @@
 """A terminal with another encoding than UTF-8: every command prints, and characters that it lacks become `?`."""
 
-from __future__ import annotations
-
 import io
 import re
 import sys

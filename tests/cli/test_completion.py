@@ -1,7 +1,5 @@
 """`mecp-env completion`: scripts for shells that complete commands and options."""
 
-from __future__ import annotations
-
 import shutil
 import subprocess
 from pathlib import Path

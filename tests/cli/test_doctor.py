@@ -1,7 +1,5 @@
 """`mecp-env doctor`: passed checks, messages about a faulty machine, exit codes."""
 
-from __future__ import annotations
-
 from collections.abc import Iterator
 from importlib import metadata
 from pathlib import Path

@@ -1,7 +1,5 @@
 """`mecp-env explore`: one episode of a policy; wrong input; how commands end."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

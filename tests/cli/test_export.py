@@ -1,7 +1,5 @@
 """`mecp-env export`: a saved map for other programs."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

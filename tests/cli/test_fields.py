@@ -1,7 +1,5 @@
 """Options that stand for fields of a configuration."""
 
-from __future__ import annotations
-
 import pytest
 
 from mecp_env.cli.base import Line

@@ -1,7 +1,5 @@
 """Options that take several words may be given again: the words add up."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 

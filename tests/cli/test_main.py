@@ -1,7 +1,5 @@
 """The command: files written, wrong input, interruption."""
 
-from __future__ import annotations
-
 import json
 import subprocess
 import sys

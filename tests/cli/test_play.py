@@ -1,7 +1,5 @@
 """`mecp-env play` without a display: events drive the robot, requested views are shown and saved."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`mecp-env replay`."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

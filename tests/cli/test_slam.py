@@ -1,7 +1,5 @@
 """`mecp-env slam`: a drive through two rooms as a log, mapped, localised in its map, and everything that is wrong."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Iterator
 from pathlib import Path

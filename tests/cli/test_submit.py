@@ -1,7 +1,5 @@
 """`mecp-env submit` and the reference rows of `mecp-env leaderboard`."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any, ClassVar

@@ -3,8 +3,6 @@
 What other tests compiled counts as compiled ahead, so `.ci/run` runs this file before them, with an empty cache.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

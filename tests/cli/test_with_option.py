@@ -1,7 +1,5 @@
 """`--with`: parts that a module of the user registers, in commands and in the processes that they start."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """`mecp-env worlds`: the files each command writes, and its errors for wrong input."""
 
-from __future__ import annotations
-
 import errno
 import json
 import re

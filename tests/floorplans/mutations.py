@@ -1,7 +1,5 @@
 """Mutated real files: byte by byte, and by the structure of their format."""
 
-from __future__ import annotations
-
 import copy
 import json
 import re

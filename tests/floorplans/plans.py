@@ -1,7 +1,5 @@
 """Plans drawn by hand for the tests of importers and exporters, and where the real ones lie."""
 
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from itertools import pairwise

@@ -1,7 +1,5 @@
 """Candidates for doorways: between which faces they are sought, whatever is tested first and however many at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import shapely

@@ -1,7 +1,5 @@
 """Every kind of real file, mutated by bytes and by structure: a layout or one clear LayoutError, within the limits."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

@@ -1,7 +1,5 @@
 """Real floor plans: rooms and doors are those that a person would draw."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

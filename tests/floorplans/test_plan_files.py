@@ -1,7 +1,5 @@
 """Untrusted plan files: any content gives a layout or one clear LayoutError with the file, within the limits."""
 
-from __future__ import annotations
-
 import json
 import struct
 import time

@@ -1,7 +1,5 @@
 """Buildings drawn for other programs and read again: the same rooms, doors and walls, even with walls of one pixel."""
 
-from __future__ import annotations
-
 import json
 import math
 from pathlib import Path

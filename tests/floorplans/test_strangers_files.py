@@ -1,7 +1,5 @@
 """Plans as strangers have them: maps of nav2, paths of other machines, other files in the folder, large floors."""
 
-from __future__ import annotations
-
 import json
 import warnings
 from pathlib import Path

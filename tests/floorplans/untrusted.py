@@ -1,7 +1,5 @@
 """The cost of reading untrusted files, in a separate process that measures their memory."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """A log of a simulated robot whose odometry and laser are off by known values."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,10 +1,8 @@
 """A short drive through a square room, written in every format that is read."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 
@@ -149,7 +147,7 @@ class BagWriter:
         one = self.make("geometry_msgs/msg/TransformStamped", self.header(received, parent), child, transform)
         self.put(received, topic, FRAMES, self.make(FRAMES, [one]))
 
-    def frames(self, *edges: tuple[str, str, np.ndarray]) -> BagWriter:
+    def frames(self, *edges: tuple[str, str, np.ndarray]) -> Self:
         """The poses, (n,3) or one (3,), of frames in their parents throughout the drive."""
         for row, stamp in enumerate(drive()[0]):
             for parent, child, poses in edges:
@@ -188,7 +186,7 @@ def bag_of(
     frames: str = "/tf_static",
     rows: slice = slice(None),
     late: float = 0.0,
-) -> BagWriter:
+) -> Self:
     """The drive, or some rows of it; scans are stamped so many seconds after they are received."""
     bag = BagWriter(path)
     for n, (stamp, pose, one) in enumerate(list(zip(*drive(), strict=True))[rows]):

@@ -1,7 +1,5 @@
 """A drive through two rooms with the simulator's laser and odometry, as an archive."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

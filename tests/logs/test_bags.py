@@ -1,7 +1,5 @@
 """What bags of other robots have: odometry among the frames, several lasers, other clocks, rotations of zeros."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

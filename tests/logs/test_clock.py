@@ -1,7 +1,5 @@
 """Stamps that are equal, missing, or of no use: the order of the file counts, and nothing is left out."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np

@@ -3,8 +3,6 @@
 Small files that would take gigabytes are refused before it is made.
 """
 
-from __future__ import annotations
-
 import gzip
 import io
 import random

@@ -1,7 +1,5 @@
 """What a laser's readings mean, whether it is mounted as the log says, and odometry made of its scans."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every format gives the same log, and what is wrong in a file is one clear error or counted."""
 
-from __future__ import annotations
-
 import gzip
 import os
 import re

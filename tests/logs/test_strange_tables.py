@@ -1,7 +1,5 @@
 """Tables as other programs write them: missing values, dates, quaternions, comments, a row per beam, wrong names."""
 
-from __future__ import annotations
-
 from datetime import UTC, datetime
 from pathlib import Path
 

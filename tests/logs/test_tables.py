@@ -1,7 +1,5 @@
 """Plain tables: `.csv` with named columns, and BreezySLAM's `.dat`; headings of any meaning."""
 
-from __future__ import annotations
-
 import gzip
 import itertools
 from pathlib import Path
