@@ -131,7 +131,7 @@ def _draw_mapped_walls(axes: Axes, view: SceneView) -> None:
     grid = view.slam_output.grid
     (x, y), (height, width) = grid.origin.tolist(), grid.label.shape
     columns, rows = x + grid.resolution_m * np.arange(width + 1), y + grid.resolution_m * np.arange(height + 1)
-    looks: dict[str, Any] = {"linewidth": 0.0, "antialiased": False, "zorder": 0.5}
+    looks: dict[str, Any] = {"linewidth": 0.0, "antialiased": False, "rasterized": True, "zorder": 0.5}
     axes.pcolormesh(columns, rows, shapes.cell_colours(grid), **looks)  # an image would take 300 MB while it is drawn
 
 
