@@ -110,8 +110,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     `config`: an `EnvConfig`, a dict or None; `render_mode`: None, "rgb_array" or "human"; every field of `EnvConfig` as
     a keyword that overrides it (`layout`, `estimator`, `actions`, `max_steps`, `start`, `robot`, `laser`, `odometry`,
     `crowd`, `clutter`, `slam`, `planning`, `goal_steps`, `observation`, `reward`, `end`, `info_texts`).
-    `crowd={"people": 4}` adds pedestrians, `clutter` adds boxes to push and closed doors, `laser={"field_of_view_deg": 180, "x_m": 0.15}` is a
-    laser on the robot's front. `layout` is a layout name, a path, a dict or a `Layout`;
+    `crowd={"people": 4}` adds pedestrians, `clutter` adds boxes to push and closed doors, `laser={"field_of_view_deg":
+    180, "x_m": 0.15}` is a laser on the robot's front. `layout` is a layout name, a path, a dict or a `Layout`;
     `PaperMap-v0` has a fixed one, and `Rooms-v0` generates one at every reset from `difficulty`, `split` and the fields
     of `GeneratorSpec`. `EnvConfig.paper()` follows the paper literally. `estimator="known"` uses the true
     correspondences, `"truth"` the true pose. Unknown names, and values with which nothing can be explored, raise
