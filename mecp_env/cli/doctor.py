@@ -141,7 +141,7 @@ def compiled_functions(_: float) -> Iterator[Finding]:
     """Whether functions are compiled, where they are kept, whether that can be written, and whether it is warm."""
     import numba
 
-    from mecp_env.core.jit import cache_directory, is_cold, usable
+    from mecp_env.core.jit import cache_directory, is_cold, sizes_in, usable
 
     if numba.config.DISABLE_JIT:
         said = "NUMBA_DISABLE_JIT is set: everything is slow"
@@ -151,7 +151,7 @@ def compiled_functions(_: float) -> Iterator[Finding]:
         said = f"{place} is not yours alone to write to; functions are compiled in every process"
         yield Finding("WARN", name, said, "set NUMBA_CACHE_DIR to a folder of yours that can be written")
         return
-    sizes = [entry.stat().st_size for entry in place.rglob("*.nbc")]
+    sizes = sizes_in(place)
     yield Finding("PASS", name, f"{place}, {len(sizes)} functions, {sum(sizes) / 1e6:.0f} MB, can be written")
     if is_cold():
         yield Finding("WARN", name, "cold: the self-test compiles first; a minute or two, once", "mecp-env warmup")

@@ -157,6 +157,16 @@ def is_cold() -> bool:
     return not numba.config.DISABLE_JIT and usable(place) and not (place / DONE).exists()
 
 
+def sizes_in(place: Path) -> list[int]:
+    """The bytes of each compiled function in a cache, where other processes write and remove folders meanwhile."""
+    sizes = list[int]()
+    for folder, _, names in os.walk(place):
+        for name in names:
+            with contextlib.suppress(OSError):
+                sizes += [Path(folder, name).stat().st_size] * name.endswith(".nbc")
+    return sizes
+
+
 def show(count: int) -> None:
     """How many functions are compiled, on stderr, where that is a terminal."""
     if sys.stderr.isatty():
@@ -175,7 +185,7 @@ def compile_ahead(drives: Sequence[str], report: Callable[[int], None]) -> tuple
     helpers = [subprocess.Popen([sys.executable, "-m", DRIVES, name], env=env, **silent) for name in drives]
     try:
         while any(helper.poll() is None for helper in helpers):
-            report(sum(1 for _ in place.rglob("*.nbc")))
+            report(len(sizes_in(place)))
             time.sleep(PERIOD_S)
     finally:
         for helper in helpers:

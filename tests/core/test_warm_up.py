@@ -2,9 +2,11 @@
 
 import multiprocessing
 import os
+import shutil
 import signal
 import subprocess
 import sys
+import threading
 from pathlib import Path
 from typing import Any
 
@@ -60,6 +62,28 @@ def _is_prepared() -> bool:
 def test_a_worker_of_a_pool_never_compiles_ahead() -> None:
     with multiprocessing.get_context("spawn").Pool(1) as pool:
         assert not pool.apply(_is_prepared)
+
+
+def test_functions_are_counted_while_another_process_removes_their_folders(tmp_path: Path) -> None:
+    (tmp_path / "a").mkdir()
+    (tmp_path / "a" / "f.nbc").write_bytes(bytes(7))
+    (tmp_path / "a" / "f.nbi").write_bytes(bytes(9))
+    assert jit.sizes_in(tmp_path) == [7]
+    ended = threading.Event()
+
+    def write_and_remove() -> None:
+        while not ended.is_set():
+            (tmp_path / "b").mkdir()
+            (tmp_path / "b" / "g.nbc").touch()
+            shutil.rmtree(tmp_path / "b")
+
+    other = threading.Thread(target=write_and_remove)
+    other.start()
+    try:
+        assert all(7 in jit.sizes_in(tmp_path) for _ in range(2000))
+    finally:
+        ended.set()
+        other.join()
 
 
 @pytest.mark.slow
