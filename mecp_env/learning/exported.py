@@ -24,7 +24,7 @@ from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
-from mecp_env.learning.fits import Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
+from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.policies.registry import statistics_of
 
@@ -148,12 +148,18 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
         check_finite(algorithm.policy)
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
-    seen = algorithm.observation_space
+    seen, statistics = algorithm.observation_space, statistics_of(path)
+    if statistics is None and getattr(algorithm, "_last_original_obs", None) is not None:
+        raise ConfigError(
+            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it: "
+            f"venv.save('{path.stem}_vecnormalize.pkl') writes them, also where it normalised rewards alone"
+        )
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
-    found = fit(seen, algorithm.action_space, str(path))
+    found = fit(seen, algorithm.action_space, str(path), statistics is not None)
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
     found = replace(found, settings=config.with_planning(found.settings))
-    return ModelPolicy(StockModel(algorithm, preparation(path), config.deterministic), found, str(path), parts)
+    prepare = batched if statistics is None else normalisation(statistics)
+    return ModelPolicy(StockModel(algorithm, prepare, config.deterministic), found, str(path), parts)
 
 
 def weights_of(policy: Any) -> dict[str, Any]:
@@ -191,11 +197,8 @@ def class_of(path: Path) -> str:
     return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
 
 
-def preparation(path: Path) -> Callable[[Any], Any]:
-    """What makes a batch for a trusted model file, with the `VecNormalize` beside it if any. Raises `WeightError`."""
-    place = statistics_of(path)
-    if place is None:
-        return batched
+def normalisation(place: Path) -> Callable[[Any], Any]:
+    """What makes a normalised batch with the trusted statistics of a `VecNormalize`. Raises `WeightError`."""
     try:
         found = pickle.loads(place.read_bytes())  # noqa: S301 (the caller trusts the model)
     except Exception as error:  # the file's own code may raise anything
@@ -283,8 +286,8 @@ def script_network(path: Path) -> Network:
         module = torch.jit.load(str(path), map_location="cpu").eval()
     except Exception as error:  # damaged bytes may raise anything
         raise ConfigError(
-            f"policy: {path}: cannot be loaded as TorchScript, which torch.jit.script(module).save writes: "
-            f"{error!r:.120}"
+            f"policy: {path}: cannot be loaded as TorchScript, which torch.jit.script(module).save writes; for weights "
+            f"of torch.save, name a class that loads them ({OTHERS}): {error!r:.120}"
         ) from None
 
     def run(batch: Any) -> Any:

@@ -153,11 +153,15 @@ def source_of(name: str) -> str:
 
 
 def policy_checksum(name: str) -> str:
-    """Of the file that holds the class, the weights or the model of a policy; "" for those of the package."""
+    """Of the files that hold the class, the weights or the model of a policy; "" for those of the package.
+
+    A class names others that it reads in its attribute `files`.
+    """
     found, path = CLASS_PATH.fullmatch(source_of(name)), Path(name)
     paths: list[Path | None] = [path / "policy.json"]  # which contains the checksum of the weights
     if found:
-        paths = [Path(str(importlib.import_module(found[1]).__file__))]
+        module = importlib.import_module(found[1])
+        paths = [Path(str(module.__file__)), *map(Path, getattr(getattr(module, found[2]), "files", ()))]
     elif path.is_file():
         exported = path.suffix in (".pt", ".pth", ".onnx")
         paths = [path, path.with_suffix(".json"), None if exported else statistics_of(path)]

@@ -14,7 +14,6 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import checksum
 from mecp_env.policies import suites
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.registry import Mask
 from mecp_env.policies.rollout import Setting
 from mecp_env.policies.suites import SUITES, Suite, definition_hash, find_suite, leaderboard, read_submission
 
