@@ -149,7 +149,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
     seen, statistics = algorithm.observation_space, statistics_of(path)
-    if statistics is None and getattr(algorithm, "_last_original_obs", None) is not None:
+    if statistics is None and was_normalised(algorithm):
         raise ConfigError(
             f"policy: {path} was trained in VecNormalize, and its statistics are not beside it: "
             f"venv.save('{path.stem}_vecnormalize.pkl') writes them, also where it normalised rewards alone"
@@ -195,6 +195,19 @@ def class_of(path: Path) -> str:
             f"{path}: not a model file of Stable-Baselines3, as model.save writes it: {error!r}"
         ) from None
     return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
+
+
+def was_normalised(algorithm: Any) -> bool:
+    """True for a model that was trained in `VecNormalize`, of which its last observations are the only trace.
+
+    Algorithms with a replay buffer keep two observations anyway: there the normalised one has left its space.
+    """
+    last: Any = getattr(algorithm, "_last_obs", None)
+    original = getattr(algorithm, "_last_original_obs", None)
+    if original is None or not hasattr(algorithm, "replay_buffer_class"):
+        return original is not None
+    first = {part: values[0] for part, values in last.items()} if isinstance(last, dict) else last[0]
+    return not algorithm.observation_space.contains(first)
 
 
 def normalisation(place: Path) -> Callable[[Any], Any]:

@@ -222,11 +222,9 @@ def space_of(actions: str, **observation: Any) -> Space:
 
 
 def same_array(theirs: Space, ours: Space, last: bool = False) -> bool:
-    """True for arrays of one shape, both of bytes or both of floats; `last`: with the first axis of ours at the end."""
-    mine, other = ours.shape or (), theirs.shape
-    if last:
-        mine = (*mine[1:], *mine[:1]) if len(mine) > 1 else ()
-    return isinstance(theirs, spaces.Box) and other == mine and (theirs.dtype == np.uint8) == (ours.dtype == np.uint8)
+    """True for arrays of one shape; `last`: with the first axis of ours at the end."""
+    shape = ours.shape or ()
+    return isinstance(theirs, spaces.Box) and theirs.shape == ((*shape[1:], *shape[:1]) if last else shape)
 
 
 def nearest_array(theirs: Space, actions: str) -> str:

@@ -122,11 +122,19 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
         load(model, trust=True)
 
 
-def test_a_model_of_vec_normalize_without_its_statistics_is_refused(tmp_path: Path) -> None:
+TRAINED = {"PPO": {"n_steps": 2, "batch_size": 2}, "DQN": {"buffer_size": 20, "learning_starts": 5}}
+
+
+@pytest.mark.parametrize("algorithm", TRAINED)
+def test_a_model_of_vec_normalize_without_its_statistics_is_refused(algorithm: str, tmp_path: Path) -> None:
     from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
 
-    env = VecNormalize(DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=3)]))
-    stock.PPO("MlpPolicy", env, n_steps=2, batch_size=2, device="cpu").learn(2).save(tmp_path / "model.zip")
+    plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
+    env = VecNormalize(plain)
+    train = lambda env: getattr(stock, algorithm)("MlpPolicy", env, device="cpu", **TRAINED[algorithm]).learn(8)  # noqa: E731
+    train(plain).save(tmp_path / "model.zip")
+    assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+    train(env).save(tmp_path / "model.zip")
     with pytest.raises(ConfigError, match=r"VecNormalize.*save\('model_vecnormalize\.pkl'\)"):
         load(tmp_path / "model.zip", trust=True)
     env.save(str(tmp_path / "model_vecnormalize.pkl"))
