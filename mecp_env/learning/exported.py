@@ -148,12 +148,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
         check_finite(algorithm.policy)
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
-    seen, statistics = algorithm.observation_space, statistics_of(path)
-    if statistics is None and was_normalised(algorithm):
-        raise ConfigError(
-            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it: "
-            f"venv.save('{path.stem}_vecnormalize.pkl') writes them, also where it normalised rewards alone"
-        )
+    seen, statistics = algorithm.observation_space, statistics_for(algorithm, path)
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
     found = fit(seen, algorithm.action_space, str(path), statistics is not None)
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
@@ -195,6 +190,17 @@ def class_of(path: Path) -> str:
             f"{path}: not a model file of Stable-Baselines3, as model.save writes it: {error!r}"
         ) from None
     return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
+
+
+def statistics_for(algorithm: Any, path: Path) -> Path | None:
+    """The statistics of `VecNormalize` beside a model. Raises `ConfigError` where it was trained with some, without."""
+    found = statistics_of(path)
+    if found is None and was_normalised(algorithm):
+        raise ConfigError(
+            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it: "
+            f"venv.save('{path.stem}_vecnormalize.pkl') writes them, also where it normalised rewards alone"
+        )
+    return found
 
 
 def was_normalised(algorithm: Any) -> bool:

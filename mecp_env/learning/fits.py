@@ -162,8 +162,7 @@ def fit(observations: Space, actions: Space, name: str, normalised: bool = False
     for settings, last in product(one_array(), (False, True)):
         ours = space_of(kind, **settings)
         if same_array(observations, ours, last):
-            if not normalised:
-                check_bounds("observations", observations, ours, name)
+            check_bounds("observations", observations, ours, name, normalised)
             return Fit(kind, with_known_ground(settings), channels_last=last)
     raise ConfigError(
         f"policy: {name} was trained on the observation {in_words(observations)}, which no environment has with "
@@ -171,9 +170,9 @@ def fit(observations: Space, actions: Space, name: str, normalised: bool = False
     )
 
 
-def check_bounds(what: str, theirs: Space, ours: Any, name: str) -> None:
+def check_bounds(what: str, theirs: Any, ours: Any, name: str, normalised: bool) -> None:
     """Raise `ConfigError` for values that a wrapper changed in training: the model would see others here."""
-    if isinstance(theirs, spaces.Box) and (theirs.low.min(), theirs.high.max()) != (ours.low.min(), ours.high.max()):
+    if not normalised and (theirs.low.min(), theirs.high.max()) != (ours.low.min(), ours.high.max()):
         raise ConfigError(
             f"policy: {name} was trained on {what} {in_words(theirs)}, environments have {in_words(ours)}; {REPEAT}"
         )
@@ -249,22 +248,25 @@ def dict_settings(theirs: spaces.Dict, actions: str, name: str, normalised: bool
     uncertainty = TRUST in parts or (goals is not None and goals[-1:] > (COLUMNS,))
     asked = {part: True for part in ON_REQUEST if part in parts}
     for part, space in parts.items():
-        ours: Any = space_of(actions, uncertainty=uncertainty, **asked)
-        check_part(part, space, ours, name)
-        if part != "scan" and not normalised:  # the bounds of a scan are those of the laser
-            check_bounds(part, space, ours[part], name)
+        check_part(part, space, space_of(actions, uncertainty=uncertainty, **asked), name, normalised)
     return with_known_ground(asked | ({"uncertainty": True} if uncertainty else {}))
 
 
-def check_part(part: str, space: Space, ours: Any, name: str) -> None:
-    """Raise `ConfigError` for a part that an environment does not have, or with another shape (but for a scan)."""
+def check_part(part: str, space: Space, ours: Any, name: str, normalised: bool) -> None:
+    """Raise `ConfigError` for a part that an environment does not have, or with another shape or other bounds.
+
+    Those of a scan are the laser's, which the model does not select.
+    """
     if part not in ours.spaces:
         raise ConfigError(
             f"policy: {name} was trained on the part {part!r}; environments have {', '.join(ours.spaces)}, "
             f"on request {', '.join((*ON_REQUEST, TRUST))}{guess(part, ours.spaces)}"
         )
-    if part != "scan" and space.shape != ours[part].shape:
+    if part == "scan":
+        return
+    if not isinstance(space, spaces.Box) or space.shape != ours[part].shape:
         raise ConfigError(f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}")
+    check_bounds(part, space, ours[part], name, normalised)
 
 
 def with_known_ground(observation: dict[str, Any]) -> dict[str, Any]:
