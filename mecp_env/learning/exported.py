@@ -197,8 +197,8 @@ def statistics_for(algorithm: Any, path: Path) -> Path | None:
     found = statistics_of(path)
     if found is None and was_normalised(algorithm):
         raise ConfigError(
-            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it: "
-            f"venv.save('{path.stem}_vecnormalize.pkl') writes them, also where it normalised rewards alone"
+            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it as "
+            f"{path.stem}_vecnormalize.pkl; venv.save(...) writes them, and they are needed for normalised rewards, too"
         )
     return found
 

@@ -22,7 +22,7 @@ from mecp_env.core.errors import ActionError, ConfigError, MecpError
 from mecp_env.core.files import exists, is_folder, read_json
 from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
-from mecp_env.core.settings import guess, shown
+from mecp_env.core.settings import as_many, guess, shown
 
 Mask = Bools | None
 
@@ -161,7 +161,7 @@ def policy_checksum(name: str) -> str:
     paths: list[Path | None] = [path / "policy.json"]  # which contains the checksum of the weights
     if found:
         module = importlib.import_module(found[1])
-        paths = [Path(str(module.__file__)), *map(Path, getattr(getattr(module, found[2]), "files", ()))]
+        paths = [Path(str(module.__file__)), *map(Path, as_many(getattr(getattr(module, found[2]), "files", ())))]
     elif path.is_file():
         exported = path.suffix in (".pt", ".pth", ".onnx")
         paths = [path, path.with_suffix(".json"), None if exported else statistics_of(path)]
