@@ -228,6 +228,11 @@ class Evaluate(WithModules):
             refuse_changes(self.policies, policies)
         if self.reference not in self.policies:
             print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
+        for name in evaluation.unrepeatable(policies):
+            print_error(
+                f"{name} acted differently when the beginning of an episode was repeated, so its score may be one of "
+                "chance: let reset(seed) set back all that act remembers, and draw random numbers from that seed"
+            )
         evaluation.check_buildings(policies)
         if self.json is not None:
             check_json(self.json, "json")

@@ -20,6 +20,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import factor_lower
+from mecp_env.core.processes import Failure
 from mecp_env.core.settings import shown
 from mecp_env.episode.potentials import (
     METRIC_TERMS,
@@ -79,11 +80,14 @@ def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -
 
 
 def measured(name: str, inputs: RewardInputs) -> float:
-    """A potential. Raises `ConfigError` for a custom one that is no finite number."""
-    value = POTENTIALS[name](inputs)
+    """A potential. Raises `ConfigError` for a custom one that fails, or is no finite number."""
+    try:
+        value = POTENTIALS[name](inputs)
+    except Exception as error:  # code of the user may raise anything
+        raise ConfigError(f"reward: the potential {name!r} failed: {Failure.of(error).reason}") from error
     try:
         found = float(value)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         found = math.nan
     if not math.isfinite(found):
         raise ConfigError(f"reward: the potential {name!r} gave {shown(value)}, a finite number expected")

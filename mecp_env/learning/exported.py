@@ -24,7 +24,7 @@ from mecp_env.core.carriers import Bools
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
-from mecp_env.learning.fits import Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
+from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.policies.registry import statistics_of
 
@@ -148,12 +148,13 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
         check_finite(algorithm.policy)
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
-    seen = algorithm.observation_space
+    seen, statistics = algorithm.observation_space, statistics_for(algorithm, path)
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
-    found = fit(seen, algorithm.action_space, str(path))
+    found = fit(seen, algorithm.action_space, str(path), statistics is not None)
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
     found = replace(found, settings=config.with_planning(found.settings))
-    return ModelPolicy(StockModel(algorithm, preparation(path), config.deterministic), found, str(path), parts)
+    prepare = batched if statistics is None else normalisation(statistics)
+    return ModelPolicy(StockModel(algorithm, prepare, config.deterministic), found, str(path), parts)
 
 
 def weights_of(policy: Any) -> dict[str, Any]:
@@ -191,11 +192,32 @@ def class_of(path: Path) -> str:
     return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
 
 
-def preparation(path: Path) -> Callable[[Any], Any]:
-    """What makes a batch for a trusted model file, with the `VecNormalize` beside it if any. Raises `WeightError`."""
-    place = statistics_of(path)
-    if place is None:
-        return batched
+def statistics_for(algorithm: Any, path: Path) -> Path | None:
+    """The statistics of `VecNormalize` beside a model. Raises `ConfigError` where it was trained with some, without."""
+    found = statistics_of(path)
+    if found is None and was_normalised(algorithm):
+        raise ConfigError(
+            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it as "
+            f"{path.stem}_vecnormalize.pkl; venv.save(...) writes them, and they are needed for normalised rewards, too"
+        )
+    return found
+
+
+def was_normalised(algorithm: Any) -> bool:
+    """True for a model that was trained in `VecNormalize`, of which its last observations are the only trace.
+
+    Algorithms with a replay buffer keep two observations anyway: there the normalised one has left its space.
+    """
+    last: Any = getattr(algorithm, "_last_obs", None)
+    original = getattr(algorithm, "_last_original_obs", None)
+    if original is None or not hasattr(algorithm, "replay_buffer_class"):
+        return original is not None
+    first = {part: values[0] for part, values in last.items()} if isinstance(last, dict) else last[0]
+    return not algorithm.observation_space.contains(first)
+
+
+def normalisation(place: Path) -> Callable[[Any], Any]:
+    """What makes a normalised batch with the trusted statistics of a `VecNormalize`. Raises `WeightError`."""
     try:
         found = pickle.loads(place.read_bytes())  # noqa: S301 (the caller trusts the model)
     except Exception as error:  # the file's own code may raise anything
@@ -283,8 +305,8 @@ def script_network(path: Path) -> Network:
         module = torch.jit.load(str(path), map_location="cpu").eval()
     except Exception as error:  # damaged bytes may raise anything
         raise ConfigError(
-            f"policy: {path}: cannot be loaded as TorchScript, which torch.jit.script(module).save writes: "
-            f"{error!r:.120}"
+            f"policy: {path}: cannot be loaded as TorchScript, which torch.jit.script(module).save writes; for weights "
+            f"of torch.save, name a class that loads them ({OTHERS}): {error!r:.120}"
         ) from None
 
     def run(batch: Any) -> Any:

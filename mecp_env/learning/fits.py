@@ -7,6 +7,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
+from itertools import product
 from typing import Any, Protocol
 
 import gymnasium
@@ -41,6 +42,8 @@ ACTIONS: dict[str, Space] = {
     "discrete": make_actions("discrete").space,
     "velocity": make_actions("velocity").space,
 }
+OTHERS = "docs/submissions.md#other-models-and-wrappers"
+REPEAT = f"what wrappers change in training, a class repeats ({OTHERS})"
 ON_REQUEST = ("map", "scan")  # parts of a dict that an environment has on request
 
 
@@ -148,21 +151,38 @@ class Fit:
         return bool(self.settings.get("observation", {}).get("uncertainty"))
 
 
-def fit(observations: Space, actions: Space, name: str) -> Fit:
-    """The fit of a model's spaces. Raises `ConfigError` where no environment has them, with the nearest one."""
+def fit(observations: Space, actions: Space, name: str, normalised: bool = False) -> Fit:
+    """The fit of a model's spaces. Raises `ConfigError` where no environment has them, with the nearest one.
+
+    `normalised`: the statistics of `VecNormalize` are known, which changes the bounds of the observation.
+    """
     kind = fitting_actions(actions, name)
     if isinstance(observations, spaces.Dict):
-        return Fit(kind, dict_settings(observations, kind, name))
-    for settings in one_array():
+        return Fit(kind, dict_settings(observations, kind, name, normalised))
+    for settings, last in product(one_array(), (False, True)):
         ours = space_of(kind, **settings)
-        if same_array(observations, ours):
-            return Fit(kind, with_known_ground(settings))
-        if same_array(observations, ours, last=True):
-            return Fit(kind, with_known_ground(settings), channels_last=True)
+        if same_array(observations, ours, last):
+            check_bounds("observations", observations, ours, name, normalised)
+            return Fit(kind, with_known_ground(settings), channels_last=last)
     raise ConfigError(
-        f"policy: {name} was trained on the observation {observations}, which no environment has with "
-        f"actions={kind!r}; the nearest is {nearest_array(observations, kind)}"
+        f"policy: {name} was trained on the observation {in_words(observations)}, which no environment has with "
+        f"actions={kind!r}; the nearest is {nearest_array(observations, kind)}; {REPEAT}"
     )
+
+
+def check_bounds(what: str, theirs: Any, ours: Any, name: str, normalised: bool) -> None:
+    """Raise `ConfigError` for values that a wrapper changed in training: the model would see others here."""
+    if not normalised and (theirs.low.min(), theirs.high.max()) != (ours.low.min(), ours.high.max()):
+        raise ConfigError(
+            f"policy: {name} was trained on {what} {in_words(theirs)}, environments have {in_words(ours)}; {REPEAT}"
+        )
+
+
+def in_words(space: Space) -> str:
+    """A space without the bounds of each of its numbers."""
+    if not isinstance(space, spaces.Box):
+        return f"{space!s:.200}"
+    return f"Box({space.low.min():g}, {space.high.max():g}, {space.shape}, {space.dtype})"
 
 
 def fitting_actions(space: Space, name: str) -> str:
@@ -173,10 +193,10 @@ def fitting_actions(space: Space, name: str) -> str:
     near = "velocity"
     if isinstance(space, spaces.Discrete):
         near = min(("discrete", "goal"), key=lambda word: abs(choices_of(word) - int(space.n)))
-    have = ", ".join(f"{ours} of actions={word!r}" for word, ours in ACTIONS.items())
+    have = ", ".join(f"{in_words(ours)} of actions={word!r}" for word, ours in ACTIONS.items())
     raise ConfigError(
-        f"policy: {name} was trained with the actions {space}; environments have {have}; "
-        f"the nearest is actions={near!r}"
+        f"policy: {name} was trained with the actions {in_words(space)}; environments have {have}; "
+        f"the nearest is actions={near!r}; {REPEAT}"
     )
 
 
@@ -201,14 +221,9 @@ def space_of(actions: str, **observation: Any) -> Space:
 
 
 def same_array(theirs: Space, ours: Space, last: bool = False) -> bool:
-    """True for arrays of one shape, both of bytes or both of floats; `last`: with the first axis of ours at the end.
-
-    Bounds may differ: `VecNormalize` and wrappers change them.
-    """
-    mine, other = ours.shape or (), theirs.shape
-    if last:
-        mine = (*mine[1:], *mine[:1]) if len(mine) > 1 else ()
-    return isinstance(theirs, spaces.Box) and other == mine and (theirs.dtype == np.uint8) == (ours.dtype == np.uint8)
+    """True for arrays of one shape; `last`: with the first axis of ours at the end."""
+    shape = ours.shape or ()
+    return isinstance(theirs, spaces.Box) and theirs.shape == ((*shape[1:], *shape[:1]) if last else shape)
 
 
 def nearest_array(theirs: Space, actions: str) -> str:
@@ -222,30 +237,36 @@ def nearest_array(theirs: Space, actions: str) -> str:
 
     near = min(one_array(), key=distance)
     frames, rest = divmod(size, int(np.prod(space_of(actions, **near).shape or ())))
-    stacked = f", of which it takes {frames} frames: stack them in a class (docs/own-parts.md)"
-    return f"observation={near}: {space_of(actions, **near)}{stacked if frames > 1 and not rest else ''}"
+    stacked = f", of which it takes {frames} frames"
+    return f"observation={near}: {in_words(space_of(actions, **near))}{stacked if frames > 1 and not rest else ''}"
 
 
-def dict_settings(theirs: spaces.Dict, actions: str, name: str) -> dict[str, Any]:
+def dict_settings(theirs: spaces.Dict, actions: str, name: str, normalised: bool) -> dict[str, Any]:
     """The fields with which an observation has the parts of a model, or more. Raises `ConfigError`."""
     parts = theirs.spaces
     goals = parts["goals"].shape if "goals" in parts else None
     uncertainty = TRUST in parts or (goals is not None and goals[-1:] > (COLUMNS,))
     asked = {part: True for part in ON_REQUEST if part in parts}
     for part, space in parts.items():
-        check_part(part, space, space_of(actions, uncertainty=uncertainty, **asked), name)
+        check_part(part, space, space_of(actions, uncertainty=uncertainty, **asked), name, normalised)
     return with_known_ground(asked | ({"uncertainty": True} if uncertainty else {}))
 
 
-def check_part(part: str, space: Space, ours: Any, name: str) -> None:
-    """Raise `ConfigError` for a part that an environment does not have, or with another shape (but for a scan)."""
+def check_part(part: str, space: Space, ours: Any, name: str, normalised: bool) -> None:
+    """Raise `ConfigError` for a part that an environment does not have, or with another shape or other bounds.
+
+    Those of a scan are the laser's, which the model does not select.
+    """
     if part not in ours.spaces:
         raise ConfigError(
             f"policy: {name} was trained on the part {part!r}; environments have {', '.join(ours.spaces)}, "
             f"on request {', '.join((*ON_REQUEST, TRUST))}{guess(part, ours.spaces)}"
         )
-    if part != "scan" and space.shape != ours[part].shape:
+    if part == "scan":
+        return
+    if not isinstance(space, spaces.Box) or space.shape != ours[part].shape:
         raise ConfigError(f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}")
+    check_bounds(part, space, ours[part], name, normalised)
 
 
 def with_known_ground(observation: dict[str, Any]) -> dict[str, Any]:

@@ -27,12 +27,15 @@ from mecp_env.core.settings import guess
 from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.encoder import make_network
 from mecp_env.learning.exported import StockModel, check_finite, load_script, load_zip, weights_of
-from mecp_env.learning.fits import Fit, ModelPolicy, batched, downsample
+from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, downsample
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
 
 FILE_NAME = re.compile(r"[\w.-]{1,100}\.safetensors", re.ASCII)
-EXPECTED = "a run folder, or a model file (.zip of Stable-Baselines3, .pt of TorchScript, .onnx) expected"
+EXPECTED = (
+    "a run folder, or a model file (.zip of Stable-Baselines3, .pt of TorchScript, .onnx) expected; "
+    f"a class loads others ({OTHERS})"
+)
 MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy
 POLICY = "policy.json"  # of a run folder: names the file of the weights, with its checksum
 NAME_LENGTH = 12  # of the checksum in the name of a file of weights

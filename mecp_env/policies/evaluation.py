@@ -26,7 +26,7 @@ from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures, correlation, estim
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.registry import Policy, policy_checksum, source_of
-from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, make_rooms, run_episode, try_action
+from mecp_env.policies.rollout import EpisodeResult, EpisodeTask, first_actions, make_rooms, run_episode
 from mecp_env.policies.setting import Setting, plan_names
 
 MEANS = (
@@ -234,14 +234,22 @@ class Evaluation:
         names = dict.fromkeys(self.policies)
         return rows_of(self.results, [(name, setting.estimator) for setting in self.settings for name in names])
 
-    def check_buildings(self, policies: Sequence[Policy]) -> None:
-        """Raise `MecpError` for a wrong setting, a first plan that cannot be read, too many generated buildings, or a
-        policy whose first action fails.
+    def unrepeatable(self, policies: Sequence[Policy]) -> list[str]:
+        """The names of the policies that act differently when the beginning of an episode is repeated.
+
+        Raises `MecpError` for a wrong setting, a first plan that cannot be read, or a policy whose first actions fail.
         """
+        found = []
         for name, policy in zip(self.policies, policies, strict=True):
             env = make_rooms(self.setting, policy)
-            try_action(env, policy, name)
+            first, again = (first_actions(env, policy, name) for _ in range(2))
+            if not all(map(np.array_equal, first, again)):
+                found.append(name)
             env.close()
+        return found
+
+    def check_buildings(self, policies: Sequence[Policy]) -> None:
+        """Raise `MecpError` for too many generated buildings."""
         if self.setting.layout or not policies:
             return
         env = make_rooms(self.setting, policies[0])

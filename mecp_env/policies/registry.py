@@ -22,7 +22,7 @@ from mecp_env.core.errors import ActionError, ConfigError, MecpError
 from mecp_env.core.files import exists, is_folder, read_json
 from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
-from mecp_env.core.settings import guess, shown
+from mecp_env.core.settings import as_many, guess, shown
 
 Mask = Bools | None
 
@@ -153,11 +153,15 @@ def source_of(name: str) -> str:
 
 
 def policy_checksum(name: str) -> str:
-    """Of the file that holds the class, the weights or the model of a policy; "" for those of the package."""
+    """Of the files that hold the class, the weights or the model of a policy; "" for those of the package.
+
+    A class names others that it reads in its attribute `files`.
+    """
     found, path = CLASS_PATH.fullmatch(source_of(name)), Path(name)
     paths: list[Path | None] = [path / "policy.json"]  # which contains the checksum of the weights
     if found:
-        paths = [Path(str(importlib.import_module(found[1]).__file__))]
+        module = importlib.import_module(found[1])
+        paths = [Path(str(module.__file__)), *map(Path, as_many(getattr(getattr(module, found[2]), "files", ())))]
     elif path.is_file():
         exported = path.suffix in (".pt", ".pth", ".onnx")
         paths = [path, path.with_suffix(".json"), None if exported else statistics_of(path)]

@@ -26,6 +26,7 @@ SELECTED = ("layout", "estimator", "max_steps")  # fields that no policy selects
 COMPLETE_COVERAGE = 0.95
 NEVER_BUDGETS = 3.0  # a coverage that is not reached within this many budgets counts as reached there
 LEAST_LOG_DET = -60.0  # of a pose covariance that is not positive: the exact pose of estimator="truth"
+TRIED_STEPS = 23  # control steps in which a policy is tried before many episodes; prime: a counter shows itself
 KEPT = (  # of the environment's own summary
     *("coverage", "correct_coverage", "metres", "periods"),
     *("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
@@ -199,12 +200,18 @@ def options_of(policy: Policy) -> dict[str, Any]:
     return fields | {"info_texts": True}  # the event of a drive is shown and counted
 
 
-def try_action(env: Env, policy: Policy, name: str) -> None:
-    """One action of a policy, before many episodes. Raises `ConfigError` that names it where that fails."""
-    observation, _ = env.reset(seed=0)
+def first_actions(env: Env, policy: Policy, name: str) -> list[Any]:
+    """What a policy does in the beginning of an episode. Raises `ConfigError` that names it where that fails."""
+    observation, info = env.reset(seed=0)
+    masks, actions, over = masks_of(env), list[Any](), False
     with calls_of(name):
         policy.reset(0)
-        env.step(policy.act(observation, masks_of(env)()))
+        while not over and info["period"] < TRIED_STEPS:
+            action = policy.act(observation, masks())
+            actions.append(np.array(action))
+            observation, _, terminated, truncated, info = env.step(action)
+            over = terminated or truncated
+    return actions
 
 
 def masks_of(env: Env) -> Callable[[], Any]:

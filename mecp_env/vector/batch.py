@@ -16,6 +16,7 @@ from mecp_env.vector.hosted import (
     HostedEnvs,
     Seeds,
     check_copy,
+    check_count,
     check_ids,
     check_integer,
     check_mode,
@@ -135,8 +136,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
     def step_async(self, actions: Any) -> None:
         """Have the workers begin a step. Raises `ResetNeeded` where an environment must be reset first."""
         self._assert_free("step")
-        if len(actions) != self.num_envs:
-            raise ValueError(f"actions: {len(actions)} of them, expected one for each of {self.num_envs} environments")
+        check_count(actions, self.num_envs, "environments")
         self._assert_reset("step")
         self._begin("step", [(actions[own.start : own.stop],) for own in self._slices])
 
@@ -172,8 +172,7 @@ class BatchEnv(HostedEnvs, VectorEnv[Any, Any, Any]):  # skrl looks for a direct
         """
         self._assert_open("send")
         envs = check_ids(env_ids, self.num_envs)
-        if len(actions) != len(envs):
-            raise ValueError(f"actions: {len(actions)} of them, expected one for each of {len(envs)} env_ids")
+        check_count(actions, len(envs), "env_ids")
         self._flights.check_free(envs.tolist(), "send()")
         self._assert_reset("send", envs)
         self._depart("step", {env: (action,) for env, action in zip(envs.tolist(), actions, strict=True)})

@@ -75,6 +75,14 @@ def check_ids(ids: Any, count: int) -> NDArray[np.intp]:
     return numbers.astype(np.intp)
 
 
+def check_count(actions: Any, count: int, whose: str) -> None:
+    """Raise `ValueError` unless there is an action for each of `count`, in a list, a tuple or an array."""
+    if not isinstance(actions, Sequence) and not getattr(actions, "ndim", 0):
+        raise ValueError(f"actions: {actions!r:.80}, expected one for each of {count} {whose}")
+    if len(actions) != count:
+        raise ValueError(f"actions: {len(actions)} of them, expected one for each of {count} {whose}")
+
+
 def check_copy(copy: bool) -> bool:
     """`copy` itself. Raises `ValueError` unless it is a boolean; the text "no" is not one."""
     if not isinstance(copy, bool | np.bool_):

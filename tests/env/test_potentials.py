@@ -126,11 +126,18 @@ def test_a_wrong_custom_reward_is_named() -> None:
             register_reward(name, potential)
 
 
-@pytest.mark.parametrize(("value", "named"), [(math.nan, "nan"), (math.inf, "inf"), ("much", "'much'"), (None, "None")])
+@pytest.mark.parametrize(("value", "named"), [(math.nan, "nan"), (10**400, "1"), ("much", "'much'"), (None, "None")])
 def test_a_custom_potential_that_is_no_finite_number_is_named(value, named) -> None:
     register_reward("wrong", lambda inputs: value)
     env = make(layout="two_rooms", reward={"custom": {"wrong": 1.0}})
-    with pytest.raises(ConfigError, match=f"the potential 'wrong' gave {named}, a finite number expected"):
+    with pytest.raises(ConfigError, match=f"the potential 'wrong' gave {named}.*, a finite number expected"):
+        env.reset(seed=0)
+
+
+def test_a_custom_potential_that_fails_is_named_with_its_line() -> None:
+    register_reward("failing", lambda inputs: inputs.walls)
+    env = make(layout="two_rooms", reward={"custom": {"failing": 1.0}})
+    with pytest.raises(ConfigError, match=r"potential 'failing' failed: AttributeError: .*\(<lambda>, line \d+\)"):
         env.reset(seed=0)
 
 

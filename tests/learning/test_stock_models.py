@@ -1,6 +1,7 @@
 """Models of Stable-Baselines3 of every observation format and action space are scored as they were trained."""
 
 import json
+import re
 import zipfile
 from itertools import product
 from pathlib import Path
@@ -20,6 +21,7 @@ from mecp_env.learning.config import WeightError  # noqa: E402
 from mecp_env.learning.exported import class_of  # noqa: E402
 from mecp_env.learning.fits import fit, space_of  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
+from mecp_env.policies.registry import policy_checksum, source_of  # noqa: E402
 from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
 from mecp_env.policies.setting import Setting  # noqa: E402
 
@@ -120,6 +122,48 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
         load(model, trust=True)
 
 
+TRAINED = {"PPO": {"n_steps": 2, "batch_size": 2}, "DQN": {"buffer_size": 20, "learning_starts": 5}}
+
+
+@pytest.mark.parametrize("algorithm", TRAINED)
+def test_a_model_of_vec_normalize_without_its_statistics_is_refused(algorithm: str, tmp_path: Path) -> None:
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
+    env = VecNormalize(plain)
+    train = lambda env: getattr(stock, algorithm)("MlpPolicy", env, device="cpu", **TRAINED[algorithm]).learn(8)  # noqa: E731
+    train(plain).save(tmp_path / "model.zip")
+    assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+    train(env).save(tmp_path / "model.zip")
+    with pytest.raises(ConfigError, match=r"VecNormalize, .* beside it as model_vecnormalize\.pkl"):
+        load(tmp_path / "model.zip", trust=True)
+    env.save(str(tmp_path / "model_vecnormalize.pkl"))
+    assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+
+
+def test_the_classes_of_the_page_score_weights_and_stacked_frames(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip("torch")
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
+
+    page = (Path(__file__).parents[2] / "docs/submissions.md").read_text()
+    for text, name in re.findall(r'```python\n("""(\w+)\.py""".*?)```', page, re.DOTALL):
+        (tmp_path / f"{name}.py").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    network = torch.nn.Sequential(torch.nn.Linear(325, 64), torch.nn.Tanh(), torch.nn.Linear(64, 32))
+    torch.save(network.state_dict(), "agent.pt")
+    stacked = VecFrameStack(DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0")]), 4)
+    saved("PPO", stacked, tmp_path / "model.zip", "Mlp")
+    for name in ("agent.py:Agent", "frames.py:Frames"):
+        assert run_episode(EpisodeTask(source_of(name), 0, EASY, source=source_of(name))).figures["decisions"] > 0
+    before = policy_checksum("agent:Agent")
+    (tmp_path / "agent.pt").write_bytes(b"")
+    assert policy_checksum("agent:Agent") != before
+    with pytest.raises(ConfigError, match="class that loads them"):
+        load(tmp_path / "agent.pt", trust=True)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("algorithm", "actions"), [("A2C", "goal"), ("DQN", "discrete"), ("SAC", "velocity")])
 def test_other_algorithms_of_stable_baselines_are_told_apart(algorithm: str, actions: str, tmp_path: Path) -> None:
@@ -156,7 +200,13 @@ def test_weights_that_are_not_finite_are_no_score(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("observations", "actions", "message"),
     [
-        (spaces.Box(-1, 1, (4, 181)), spaces.Discrete(5), r"'uncertainty': False.*it takes 4 frames: stack them"),
+        (spaces.Box(-1, 1, (4, 181)), spaces.Discrete(5), r"'uncertainty': False.*it takes 4 frames; what wrappers"),
+        (
+            spaces.Box(-np.inf, np.inf, (181,)),
+            spaces.Discrete(5),
+            r"\(-inf, inf, \(181,\).*environments have Box\(-1, 1",
+        ),
+        (spaces.Dict(pose=spaces.Box(0, 1, (4,))), spaces.Discrete(5), r"on pose Box\(0, 1, .*what wrappers"),
         (
             spaces.Box(-1, 1, (90,)),
             spaces.Discrete(32),

@@ -235,6 +235,23 @@ def test_a_policy_whose_first_action_fails_is_refused_before_the_episodes(
     assert not (tmp_path / "out").exists()
 
 
+class Remembering(Nearest):
+    """A policy with a state that `reset` keeps."""
+
+    decisions = 0
+
+    def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
+        self.decisions += 1
+        return self.decisions
+
+
+def test_a_policy_that_reset_does_not_set_back_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert evaluate(tmp_path, f"{__name__}:Remembering random_goal", episodes=1, max_steps=20) == 0
+    said = capsys.readouterr().err
+    assert "Remembering acted differently when the beginning of an episode was repeated" in said
+    assert "random_goal acted" not in said
+
+
 def raising(error: BaseException, building: int) -> Callable[[EpisodeTask], EpisodeResult]:
     """Stands for `run_episode`: an episode of `random_goal` in one building ends with an error."""
 

@@ -157,7 +157,7 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
     (plans / "office.json").write_text('{"name": 3, "rooms": []}')  # the first one
     evaluation = Evaluation(("nearest",), Setting(**plan_fields(plans, {})), 1)
     with pytest.raises(ValueError, match=r"office\.json"):
-        evaluation.check_buildings([Nearest()])
+        evaluation.unrepeatable([Nearest()])
 
 
 @pytest.mark.parametrize(

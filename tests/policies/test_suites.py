@@ -14,7 +14,6 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import checksum
 from mecp_env.policies import suites
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.registry import Mask
 from mecp_env.policies.rollout import Setting
 from mecp_env.policies.suites import SUITES, Suite, definition_hash, find_suite, leaderboard, read_submission
 
@@ -144,12 +143,12 @@ class LongSight(Nearest):
 
 
 class Broken(Nearest):
-    """A policy with a bug."""
+    """A policy with a bug, which the first actions do not show: they are tried with the seed 0."""
 
-    def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
-        if observation["budget"][0] < 1.0:  # not in the first action, which is tried before
+    def reset(self, seed: int = 0) -> None:
+        super().reset(seed)
+        if seed == 1:
             raise RuntimeError("a bug")
-        return super().act(observation, mask)
 
 
 def test_a_policy_that_changes_the_robot_of_a_suite_is_refused(
@@ -166,7 +165,7 @@ def test_without_all_episodes_there_is_no_result_and_the_user_knows_why(
 ) -> None:
     line = ["evaluate", f"{__name__}:Broken", "--suite", toy, "--no-truth", "--out", str(tmp_path)]
     assert cli.main(line) == 1
-    assert "2 episodes failed: no result; the same command repeats them" in capsys.readouterr().err
+    assert "1 episodes failed: no result; the same command repeats them" in capsys.readouterr().err
     assert not (tmp_path / f"{toy}.json").exists()
 
 

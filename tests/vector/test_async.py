@@ -135,6 +135,9 @@ def test_wrong_numbers_of_environments_and_of_actions_are_refused(batch: BatchEn
         batch.send(STILL[:2])
     with pytest.raises(ValueError, match="actions: 3 of them, expected one for each of 1 env_ids"):
         batch.send(STILL, [1])
+    for nothing in (None, 3, {0: 1}):
+        with pytest.raises(ValueError, match=f"actions: {nothing!r}, expected one for each of 3 environments"):
+            batch.step(nothing)
     for size in (0, N + 1, 1.5, True, "2"):
         with pytest.raises(ValueError, match=f"batch_size: {size!r}, expected an integer from 1 to 3"):
             make_small(batch_size=size)
