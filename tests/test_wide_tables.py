@@ -97,7 +97,11 @@ def test_names_break_at_their_joints_and_numbers_do_not(wide: Any, text: str, pi
 def test_a_browser_shows_the_widest_pages_without_a_sideways_scroll(tmp_path: Path) -> None:
     for module in ("myst_parser", "furo"):
         pytest.importorskip(module)
-    pages = {"paper": "docs/paper.md", "a": "benchmarks/results/association.md", "n": "benchmarks/results/noise.md"}
+    pages = {
+        "logs": "docs/logs.md",
+        "choices": "benchmarks/results/paper_mode_choices.md",
+        "n": "benchmarks/results/noise.md",
+    }
     for name, path in pages.items():
         shutil.copy(ROOT / path, tmp_path / f"{name}.md")
     (tmp_path / "index.md").write_text("# Pages\n")
