@@ -75,10 +75,9 @@ def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any,
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("mode", ["batch", pytest.param("sync", marks=pytest.mark.slow)])
-def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
+def test_each_environment_goes_as_it_would_alone(kind: str) -> None:
     name, keywords = KINDS[kind]
-    with closing(make_by(mode, name, N, **keywords)) as venv:
+    with closing(make_by("batch", name, N, **keywords)) as venv:
         together, alone = take(venv, AutoresetMode.NEXT_STEP), take_alone(kind)
     assert len(together) == len(alone)
     assert any(row[2].any() or row[3].any() for row in together[1:])  # episodes end on the way
@@ -90,11 +89,17 @@ def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
             assert all(row[-1][f"_{key}"][i] for key in single[-1])
 
 
-@pytest.mark.parametrize("kind", ["velocity", pytest.param("goals in buildings", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("mode", "kind"),
+    [
+        ("batch", "velocity"),
+        pytest.param("batch", "goals in buildings", marks=pytest.mark.slow),
+        pytest.param("async", "goals in buildings", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("autoreset", AutoresetMode)
-@pytest.mark.parametrize("mode", ["batch", pytest.param("async", marks=pytest.mark.slow)])
 def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
-    kind: str, autoreset: AutoresetMode, mode: str
+    mode: str, kind: str, autoreset: AutoresetMode
 ) -> None:
     name, keywords = KINDS[kind]
     with closing(make_by(mode, name, N, autoreset, **keywords)) as several:
