@@ -1,9 +1,7 @@
 """Every program of docs/your-library.md runs as it is printed, where its library is installed."""
 
-import importlib.util
 import os
 import re
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -29,15 +27,6 @@ def test_the_page_names_each_library_and_its_programs_are_short() -> None:
     for program in PROGRAMS.values():
         assert len(program.splitlines()) <= 22
         assert re.search(r'"mecp_env:|^(import|from) mecp_env', program, re.MULTILINE)
-
-
-@pytest.fixture(scope="module")
-def launcher() -> Iterator[Launcher]:
-    """Of processes that have loaded the functions of the package, and imported libraries that are installed."""
-    slow = ("stable_baselines3.common.evaluation", "sb3_contrib", "torch._dynamo")
-    there = [name for name in slow if importlib.util.find_spec(name.partition(".")[0])]
-    with Launcher("mecp_env.vector.preload", *there, path=ROOT) as launcher:
-        yield launcher
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.env.helpers import SMALL, same
-from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, equal, make_by
+from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, make_by
 
 BUILDINGS: dict[str, Any] = {"difficulty": "easy", "laser": SMALL["laser"]}
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -106,7 +106,7 @@ def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
         given = take(several, autoreset)
         assert several.metadata["autoreset_mode"] == autoreset
     assert any("final_obs" in row[-1] for row in given) == (autoreset == AutoresetMode.SAME_STEP)
-    assert equal(given, take_in_one_process(kind, autoreset))
+    assert same(given, take_in_one_process(kind, autoreset))
 
 
 def test_how_the_environments_are_shared_out_changes_nothing() -> None:
@@ -114,7 +114,7 @@ def test_how_the_environments_are_shared_out_changes_nothing() -> None:
     for workers in (1, 3):
         with closing(gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)) as venv:
             assert len(venv.pids) == workers
-            assert equal(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
+            assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
 
 
 @pytest.mark.slow
@@ -122,4 +122,4 @@ def test_how_the_environments_are_shared_out_changes_nothing() -> None:
 def test_how_processes_are_started_changes_nothing(context: str) -> None:
     name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=2, context=context, **keywords)) as venv:
-        assert equal(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
+        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
