@@ -5,12 +5,18 @@ own; the golden hashes are those of the number that NumPy chooses.
 """
 
 import gc
+import importlib.util
 import os
 import sys
 from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import pytest
+
+from tests.launcher import Launcher
+
+LOADED = ("mecp_env.cli.main", "mecp_env.policies", "mecp_env.vector.preload")
+LEARNING = ("mecp_env.learning.train", "stable_baselines3.common.evaluation", "torch._dynamo")
 
 for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):  # read when NumPy and PyTorch are imported, by no plugin
     os.environ.setdefault(name, "1")
@@ -25,6 +31,14 @@ def pytest_collection() -> Generator[None, object, object]:
     finally:
         gc.enable()
         gc.freeze()
+
+
+@pytest.fixture(scope="session")
+def launcher() -> Iterator[Launcher]:
+    """Of processes that have loaded the functions of the package, and imported what trains, where it is installed."""
+    learning = LEARNING if importlib.util.find_spec("sb3_contrib") else ()
+    with Launcher(*LOADED, *learning, path=Path(__file__).parent.parent) as launcher:
+        yield launcher
 
 
 @pytest.fixture

@@ -1,11 +1,9 @@
 """The scripts of `agents/` run from start to end with small settings."""
 
 import csv
-import importlib.util
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -18,14 +16,6 @@ from tests.policies.scenes import goal, observation
 
 ROOT = Path(__file__).parents[2]
 SMALL = "--steps 8 --environments 2 --difficulty easy --rollout 4 --batch 4 --validation 1 --max-steps 20"
-
-
-@pytest.fixture(scope="module")
-def launcher() -> Iterator[Launcher]:
-    """Of processes that have imported the package and loaded its functions, and what trains, where it is installed."""
-    learning = ["sb3_contrib", "mecp_env.learning", "torch._dynamo"] if importlib.util.find_spec("sb3_contrib") else []
-    with Launcher("mecp_env.env", "mecp_env.policies", "mecp_env.vector.preload", *learning, path=ROOT) as launcher:
-        yield launcher
 
 
 def run_script(launcher: Launcher, name: str, folder: Path, *options: str) -> str:

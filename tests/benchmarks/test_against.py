@@ -30,15 +30,16 @@ def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
     monkeypatch.setattr(against.peers, "measure", lambda *given: asked.append(given) or {})  # test_peers.py has them
     monkeypatch.setattr(against, "SWEEPS", (1,))
     monkeypatch.setenv("NUMBA_DISABLE_JIT", "1")  # the copy has no cache, and few steps
-    sizes = against.Sizes(block=5, episode=10, warm_up=5, total=20)
+    sizes = against.Sizes(block=2, episode=4, warm_up=1, total=4)
     figures = against.run(Options(against="HEAD"), sizes)
     assert set(figures) == {"against", "K=1", "peers"}
-    assert asked == [(4, (1,))]
+    assert asked == [(2, (1,))]
     for values in figures["K=1"].values():
         assert values["ratio"]["value"] > 0.0
-        assert values["ratio"]["n"] + values["left_out"] >= 2
         assert min(values["steps_per_s"], values["steps_per_s_against"]) > 0.0
         assert 0.0 <= values["same_observations"] <= 1.0
+    by_velocities = figures["K=1"]["random"]
+    assert by_velocities["ratio"]["n"] + by_velocities["left_out"] == 2  # a goal may take all of the steps
     page = against.report(figures)
     assert all(f"| K=1 | {actions} |" in page for actions in against.ACTIONS)
     assert not list(temporary.iterdir())

@@ -85,6 +85,7 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
 def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Path, capsys: Said) -> None:
     calibration = metrics_of(kept)["calibration"]
     assert calibration["registered"] <= calibration["tried"]
@@ -107,6 +108,7 @@ def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Pa
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
 def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
     folder = log.parent / "again"
     line = ["slam", str(log), "--out", str(folder), "--from-map", str(log.parent / "map.zip"), "--start"]
@@ -124,6 +126,7 @@ def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
 def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys: Said) -> None:
     assert cli.main(["slam", str(changed(log, tmp_path / "a.npz", odo=None)), "--out", str(tmp_path / "a")]) == 0
     assert "odometry none" in capsys.readouterr().out
@@ -133,6 +136,7 @@ def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
 def test_a_mirrored_laser_is_named_and_mended(
     log: Path, tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -248,6 +252,7 @@ def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pyte
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
 def test_a_map_that_cannot_be_saved_and_a_reader_that_is_gone_lose_nothing_else(
     log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
@@ -263,6 +268,7 @@ def test_a_map_that_cannot_be_saved_and_a_reader_that_is_gone_lose_nothing_else(
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("blank_figures")
 def test_a_laser_that_sees_more_than_that_of_the_map(log: Path, tmp_path: Path, capsys: Said) -> None:
     small, saved = write_archive(tmp_path / "small.npz"), tmp_path / "map.zip"
     assert cli.main(["slam", str(small), "--out", str(tmp_path / "a"), "--save-map", str(saved)]) == 0

@@ -53,8 +53,10 @@ SCRIPT = """
 import json, sys
 import numpy as np
 from mecp_env.cli import main as cli
+from mecp_env.cli import runs
 from mecp_env.cli.warmup import made_log
 
+runs.FRAMES = 2  # of a film, whose pixels take long and compile nothing
 log = made_log()
 beams = {"t": log.t, "ranges": log.ranges, "angles": log.bearings, "max_range_m": log.max_range_m}
 np.savez("log.npz", odo=log.T_odom_robot, **beams)

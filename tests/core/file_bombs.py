@@ -14,6 +14,7 @@ import numpy as np
 from PIL import Image
 
 SIZE = 5_000_000
+WALLS = ('{"walls":LIST}', '{"walls":[{"points":LIST}]}')
 ITEMS = {  # JSON values of the least text for the most memory
     "numbers": "999,",
     "floats": "1e9,",
@@ -75,11 +76,11 @@ def maps() -> Iterator[tuple[str, bytes]]:
         yield name, file.getvalue()
 
 
-def documents(most: int) -> Iterator[tuple[str, bytes]]:
-    """JSON as it is, of any kind."""
+def documents(most: int, *fields: str) -> Iterator[tuple[str, bytes]]:
+    """JSON as it is: lists, alone and in fields of what is read."""
     for kind in ITEMS:
-        for start, end in (("", ""), ('{"results":', "}"), ('{"walls":', "}"), ('{"walls":[{"points":', "}]}")):
-            yield f"{kind} {start}", f"{start}{items(kind, most - 100)}{end}".encode()
+        for field in ("LIST", *fields):
+            yield f"{kind} {field}", field.replace("LIST", items(kind, most - 100)).encode()
     yield "keys", ("{" + ",".join(f'"{k}":0' for k in range(most // 12)) + "}").encode()
 
 
@@ -87,7 +88,7 @@ def submissions() -> Iterator[tuple[str, bytes]]:
     """Results of a suite: of any content, and of values that are all wrong behind a right checksum."""
     from mecp_env.policies.suites import FORMAT, SUITES, VERSION, checksum_of
 
-    yield from documents(SIZE)
+    yield from documents(SIZE, '{"results":LIST}')
     name, suite = next(iter(SUITES.items()))
     head = {"format": FORMAT, "version": VERSION, "suite": name, "hash": suite.frozen}
     row = {"task": "x", "policy": "y", "estimator": "slam", "figures": {}, "episodes": []}
@@ -137,7 +138,8 @@ def archives() -> Iterator[tuple[str, bytes]]:
     for kind in ("<f8", "|u1", "<U1"):
         for rows, beams in ((400, 20_000), (4_000_000, 2), (200, 20_000)):
             file = io.BytesIO()
-            arrays = {"t": np.arange(rows), "ranges": np.zeros((rows, beams), kind), "angles": np.arange(beams)}
+            times = np.sort(np.arange(rows) % 1000)  # millions of different ones could not be packed
+            arrays = {"t": times, "ranges": np.zeros((rows, beams), kind), "angles": np.arange(beams)}
             np.savez_compressed(file, **arrays, odo=np.zeros((rows, 3), "|u1"))
             yield f"{kind} {rows}", file.getvalue()
 
@@ -168,9 +170,9 @@ def bombs(kind: str) -> Iterator[tuple[str, bytes]]:
         "map": maps,
         "archive": archives,
         **dict.fromkeys(("picture", "tiff"), lambda: pictures(kind)),
-        **dict.fromkeys(("layout", "plan"), lambda: documents(2_000_000)),
+        **dict.fromkeys(("layout", "plan"), lambda: documents(2_000_000, *WALLS)),
         "submission": submissions,
-        "run": lambda: documents(SIZE),
+        "run": lambda: documents(SIZE, '{"config":LIST}'),
     }
     for name, data in made.get(kind, lambda: tables(kind))():
         if len(data) <= SIZE:

@@ -23,8 +23,7 @@ from mecp_env.learning.learned import load  # noqa: E402
 from mecp_env.learning.run_folder import MOST_BYTES, RunFolder, RunLog, TrainingState, load_checkpoint  # noqa: E402
 from mecp_env.learning.sb3_batch import OptionBuffer  # noqa: E402
 from mecp_env.learning.train import check_size, warm_start  # noqa: E402
-from tests.launcher import Launcher  # noqa: E402
-from tests.learning.training import QUICK, ROOT, checkpoints, quick, run, start, weights_in, write_config  # noqa: E402
+from tests.learning.training import QUICK, checkpoints, quick, run, start, weights_in, write_config  # noqa: E402
 
 
 def rows(path):
@@ -122,14 +121,6 @@ def test_what_may_be_trained_may_be_loaded_and_its_checkpoint_too(tmp_path):
     assert path.stat().st_size < MOST_BYTES
     assert load_checkpoint(path, model)
     venv.close()
-
-
-@pytest.fixture(scope="module")
-def launcher():
-    """Of processes that have imported PyTorch and the training, and loaded the compiled functions."""
-    needed = ("mecp_env.learning.train", "mecp_env.cli.main", "mecp_env.vector.preload", "torch._dynamo")
-    with Launcher(*needed, path=ROOT) as launcher:
-        yield launcher
 
 
 def wait_for_checkpoint(process, folder, beyond=-1):
@@ -259,13 +250,13 @@ def test_weights_that_are_no_numbers_are_neither_kept_nor_loaded(tmp_path, capsy
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("workers", ["batch", "processes"])
-def test_workers_learn_the_same_as_one_process(workers, tmp_path):
+def test_workers_learn_the_same_as_one_process(tmp_path):
     """The placement of the environments changes no bit of the trained weights."""
-    checks = []
-    for name in ("here", workers):
-        (tmp_path / name).mkdir()
-        folder, code = run(tmp_path / name, workers=name, steps=12)
+    trained = []
+    for workers in ("here", "batch", "processes"):
+        (tmp_path / workers).mkdir()
+        folder, code = run(tmp_path / workers, workers=workers, steps=12)
         assert code == 0
-        checks.append(weights_in(checkpoints(folder)[-1]))
-    assert all(torch.equal(checks[0][key], checks[1][key]) for key in checks[0])
+        trained.append(weights_in(checkpoints(folder)[-1]))
+    alone, *others = trained
+    assert all(torch.equal(alone[key], other[key]) for other in others for key in alone)

@@ -37,16 +37,3 @@ def choose(space: gymnasium.Space[Any], observation: Any, rng: np.random.Generat
     if space.n == 5:
         return rng.integers(0, 5, count)
     return np.array([int(rng.integers(max(1, int(goals[:, 8].sum())))) for goals in observation["goals"]])
-
-
-def equal(a: Any, b: Any) -> bool:
-    """True when two results of a vector environment are equal to the last bit."""
-    if isinstance(a, dict):
-        return a.keys() == b.keys() and all(equal(a[key], b[key]) for key in a)
-    if isinstance(a, list | tuple):
-        return len(a) == len(b) and all(equal(x, y) for x, y in zip(a, b, strict=True))
-    if isinstance(a, np.ndarray) and a.dtype == object:
-        return b.dtype == object and equal(a.tolist(), b.tolist())
-    if isinstance(a, np.ndarray):
-        return bool(a.dtype == b.dtype and a.shape == b.shape and a.tobytes() == b.tobytes())
-    return bool(a == b)

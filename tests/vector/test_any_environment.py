@@ -10,7 +10,7 @@ from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
 from mecp_env.vector import BatchEnv, hosted
-from tests.vector.helpers import equal
+from tests.env.helpers import same
 
 COUNT, STEPS = 4, 12
 
@@ -69,4 +69,4 @@ def test_a_batch_gives_what_gymnasiums_own_class_gives(
     monkeypatch.setattr(hosted, "cores", lambda: 1)
     makers = [partial(Counter, alone)] * COUNT
     batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
-    assert equal(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))
+    assert same(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))

@@ -11,9 +11,9 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoA
 from gymnasium.vector import AutoresetMode
 
 from mecp_env.vector import BatchEnv
-from tests.env.helpers import SMALL
+from tests.env.helpers import SMALL, same
 from tests.processes import gone_within
-from tests.vector.helpers import LAYOUT, N, choose, equal, make_small
+from tests.vector.helpers import LAYOUT, N, choose, make_small
 
 STEPS = 14  # per environment
 STILL = np.zeros((N, 2), np.float32)
@@ -70,8 +70,8 @@ def test_each_environment_goes_the_same_way_whatever_is_served_first(actions: st
         found.append(histories(venv, STEPS))
         venv.close()
     assert any(part[0] or part[1] for rows in found[0] for _, (_, *part), _ in rows)  # episodes end on the way
-    assert equal(found[0], found[1])
-    assert equal(found[0], found[2])
+    assert same(found[0], found[1])
+    assert same(found[0], found[2])
 
 
 def test_all_at_once_gives_what_reset_and_step_give() -> None:
@@ -79,13 +79,13 @@ def test_all_at_once_gives_what_reset_and_step_give() -> None:
     one.async_reset(seed=1)
     observation, _, _, _, infos = one.recv()
     assert infos.pop("env_id").tolist() == [0, 1, 2]
-    assert equal((observation, infos), other.reset(seed=1))
+    assert same((observation, infos), other.reset(seed=1))
     for _ in range(5):
         one.send(STILL + 0.5)
         row = one.recv()
         row[-1].pop("env_id")
-        assert equal(row, other.step(STILL + 0.5))
-    assert equal(one.step(STILL), other.step(STILL))  # both interfaces in turn
+        assert same(row, other.step(STILL + 0.5))
+    assert same(one.step(STILL), other.step(STILL))  # both interfaces in turn
     one.close()
     other.close()
 

@@ -16,7 +16,7 @@ from mecp_env.core.processes import cores, start_method
 from mecp_env.vector import BatchEnv, hosted
 from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
-from tests.vector.helpers import LAYOUT, N, equal, make_by, make_small
+from tests.vector.helpers import LAYOUT, N, make_by, make_small
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -36,7 +36,7 @@ def test_make_vec_takes_the_batch_for_every_id_and_its_spec_makes_it_again(name:
     assert observation in venv.observation_space
     again = gymnasium.make_vec(EnvSpec.from_json(venv.spec.to_json()))
     assert isinstance(again, BatchEnv)
-    assert equal(observation, again.reset(seed=1)[0])
+    assert same(observation, again.reset(seed=1)[0])
     venv.close()
     again.close()
 
@@ -112,7 +112,7 @@ def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.Mo
     states = venv.call("get_state")
     row = venv.step(STILL + 0.5)
     venv.each(set_state, [(state,) for state in states])
-    assert equal(venv.step(STILL + 0.5), row)
+    assert same(venv.step(STILL + 0.5), row)
     with pytest.raises(ValueError, match="2 values"):
         venv.set_attr("mark", [1, 2])
     with pytest.raises(ValueError, match="reset"):

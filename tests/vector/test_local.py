@@ -11,10 +11,11 @@ from gymnasium.vector import AutoresetMode
 from mecp_env.core.errors import ActionError
 from mecp_env.core.processes import WorkerError
 from mecp_env.vector import BatchEnv, hosted
+from tests.env.helpers import same
 from tests.processes import gone_within, needs_linux
 from tests.vector.helpers import N, make_small
 from tests.vector.test_async import histories
-from tests.vector.test_trajectories import KINDS, equal, take, take_in_one_process
+from tests.vector.test_trajectories import KINDS, take, take_in_one_process
 
 STILL = np.zeros((N, 2), np.float32)
 CORES = [1, 2]  # all here; one slice here, the other in a worker
@@ -34,7 +35,7 @@ def test_trajectories_are_those_of_gymnasiums_own_class(own: int, kind: str, mod
     venv = gymnasium.make_vec(name, N, context="fork", autoreset_mode=mode, **keywords)
     assert isinstance(venv, BatchEnv)
     assert len(venv.pids) == own - 1
-    assert equal(take(venv, mode), take_in_one_process(kind, mode))
+    assert same(take(venv, mode), take_in_one_process(kind, mode))
     venv.close()
 
 
@@ -44,7 +45,7 @@ def test_send_and_recv_give_each_environment_what_workers_give(own: int) -> None
         venv = make_small(max_steps=5, **keywords)
         found.append(histories(venv, 8))
         venv.close()
-    assert equal(*found)
+    assert same(*found)
 
 
 def test_goals_have_processes_only_unless_there_is_one_environment(own: int) -> None:
@@ -113,7 +114,7 @@ def test_actions_may_be_overwritten_once_they_are_sent(own: int) -> None:
         actions[:] = later
         rows.append(venv.step_wait())
         venv.close()
-    assert equal(*rows)
+    assert same(*rows)
 
 
 class Interrupted(gymnasium.Wrapper[Any, Any, Any, Any]):

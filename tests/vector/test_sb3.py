@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from gymnasium.wrappers import TimeLimit
 
-from tests.env.helpers import SMALL, make
-from tests.vector.helpers import LAYOUT, N, choose, equal, make_small
+from tests.env.helpers import SMALL, make, same
+from tests.vector.helpers import LAYOUT, N, choose, make_small
 
 vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
 utils = pytest.importorskip("sb3_contrib.common.maskable.utils")
@@ -49,7 +49,7 @@ def test_the_batch_gives_what_their_own_classes_give(actions: str, theirs: str) 
     assert any(row[2].any() for row in given[1:])
     assert (given[-1][-1] is not None) == (actions == "goal")
     for mine, yours in zip(given, expected, strict=True):
-        assert equal(plain(mine), plain(yours))
+        assert same(plain(mine), plain(yours))
     ours.close()
     other.close()
 
@@ -132,4 +132,4 @@ def test_maskable_ppo_learns_on_the_batch_as_on_their_own_class() -> None:
             model.learn(2 * 8 * N)
         weights.append([parameter.detach().numpy().copy() for parameter in model.policy.parameters()])
         venv.close()
-    assert equal(*weights)
+    assert same(*weights)

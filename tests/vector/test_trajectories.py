@@ -10,7 +10,7 @@ import pytest
 from gymnasium.vector import AutoresetMode
 
 from tests.env.helpers import SMALL, same
-from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, equal, make_by
+from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, make_by
 
 BUILDINGS: dict[str, Any] = {"difficulty": "easy", "laser": SMALL["laser"]}
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -75,10 +75,9 @@ def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any,
 
 
 @pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("mode", ["batch", pytest.param("sync", marks=pytest.mark.slow)])
-def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
+def test_each_environment_goes_as_it_would_alone(kind: str) -> None:
     name, keywords = KINDS[kind]
-    with closing(make_by(mode, name, N, **keywords)) as venv:
+    with closing(make_by("batch", name, N, **keywords)) as venv:
         together, alone = take(venv, AutoresetMode.NEXT_STEP), take_alone(kind)
     assert len(together) == len(alone)
     assert any(row[2].any() or row[3].any() for row in together[1:])  # episodes end on the way
@@ -90,18 +89,24 @@ def test_each_environment_goes_as_it_would_alone(kind: str, mode: str) -> None:
             assert all(row[-1][f"_{key}"][i] for key in single[-1])
 
 
-@pytest.mark.parametrize("kind", ["velocity", pytest.param("goals in buildings", marks=pytest.mark.slow)])
+@pytest.mark.parametrize(
+    ("mode", "kind"),
+    [
+        ("batch", "velocity"),
+        pytest.param("batch", "goals in buildings", marks=pytest.mark.slow),
+        pytest.param("async", "goals in buildings", marks=pytest.mark.slow),
+    ],
+)
 @pytest.mark.parametrize("autoreset", AutoresetMode)
-@pytest.mark.parametrize("mode", ["batch", pytest.param("async", marks=pytest.mark.slow)])
 def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
-    kind: str, autoreset: AutoresetMode, mode: str
+    mode: str, kind: str, autoreset: AutoresetMode
 ) -> None:
     name, keywords = KINDS[kind]
     with closing(make_by(mode, name, N, autoreset, **keywords)) as several:
         given = take(several, autoreset)
         assert several.metadata["autoreset_mode"] == autoreset
     assert any("final_obs" in row[-1] for row in given) == (autoreset == AutoresetMode.SAME_STEP)
-    assert equal(given, take_in_one_process(kind, autoreset))
+    assert same(given, take_in_one_process(kind, autoreset))
 
 
 def test_how_the_environments_are_shared_out_changes_nothing() -> None:
@@ -109,7 +114,7 @@ def test_how_the_environments_are_shared_out_changes_nothing() -> None:
     for workers in (1, 3):
         with closing(gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)) as venv:
             assert len(venv.pids) == workers
-            assert equal(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
+            assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
 
 
 @pytest.mark.slow
@@ -117,4 +122,4 @@ def test_how_the_environments_are_shared_out_changes_nothing() -> None:
 def test_how_processes_are_started_changes_nothing(context: str) -> None:
     name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=2, context=context, **keywords)) as venv:
-        assert equal(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
+        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
