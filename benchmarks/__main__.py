@@ -62,7 +62,10 @@ HAVING = {  # an option that not all benchmarks have -> those that have it
     "records": ON_RECORDS,
     "shard": (*IN_UNITS, RECORD),
     "task": ("uncertainty",),
-    "with": ("association", "clutter", "consistency", "filters", "map_size", "structures", "victoria_park"),
+    "with": (
+        *("association", "clutter", "consistency", "filters", "loop", "map_size", "noise", "structures"),
+        "victoria_park",
+    ),
 }
 COLOURS = 128  # of a committed picture: lines and areas need no more
 

@@ -13,6 +13,7 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks import __main__ as command
 from benchmarks import association as benchmark
+from benchmarks import loop, noise
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
@@ -97,7 +98,8 @@ def test_a_map_holds_them(own: dict[str, ModuleType], drive: Drive, tmp_path: Pa
 
 def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
     rows = benchmark.methods()
-    assert list(rows)[-2:] == ["global_nearest", "mecp, filter plain_ekf"]
+    assert list(rows)[-2:] == list(noise.all_variants())[-2:] == ["global_nearest", "mecp, filter plain_ekf"]
+    assert list(loop.all_variants())[-1] == "global_nearest"
     assert command.main(["association", "--with", "global_nearest", "plain_ekf", "--sets", "two_rooms:1"]) == 0
     said = capsys.readouterr().out
     assert "## two_rooms (1 seeds)" in said
