@@ -93,6 +93,7 @@ def _check_copy(estimate: Filter, z: Array, R: Array, ids: Ints) -> None:
     shapes = mean.shape, cov.shape
     _require(shapes == ((7,), (7, 7)), f"marginal: shapes {shapes}, (7,), (7, 7) expected")
     kept, other = estimate.belief(), estimate.copy()
+    _require(type(other) is type(estimate), f"copy: a {type(other).__name__}, another class")
     _require(bool(np.allclose(mean[:3], kept.T_map_robot)), "marginal: another pose than that of `belief`")
     other.update(z, R, ids)
     other.loosen(np.diag([1.0, 1.0, 0.1]))

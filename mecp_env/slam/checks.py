@@ -128,11 +128,11 @@ def check_odometry(odometry: Odometry) -> None:
     require_arrays(odometry, {"cov": FLOATS}, (shape[0], 2, 2), "odometry", SensorError)
     if not isinstance(odometry.bumper, bool | np.bool_):
         raise SensorError(f"odometry.bumper: {shown(odometry.bumper)}, True or False expected")
-    finite, least, sound = look_over(odometry.increments, odometry.cov)
+    finite, largest, least, sound = look_over(odometry.increments, odometry.cov)
     if not finite:
         raise SensorError("odometry.increments, odometry.cov: every value must be finite")
-    if np.abs(odometry.increments).max(initial=0.0) >= FAR:
-        raise SensorError(f"odometry.increments: {np.abs(odometry.increments).max():g}, below {FAR} (m, rad) expected")
+    if largest >= FAR:
+        raise SensorError(f"odometry.increments: {largest:g}, below {FAR} (m, rad) expected")
     if least < 0.0:
         raise SensorError(f"odometry.cov: variance {least:g} is below 0")
     if not sound:
@@ -140,19 +140,20 @@ def check_odometry(odometry: Odometry) -> None:
 
 
 @compiled
-def look_over(increments: Array, cov: Array) -> tuple[bool, float, bool]:
-    """Of increments (M,2) and covariances (M,2,2): are all finite, the least variance, at most 0, and are all sound.
+def look_over(increments: Array, cov: Array) -> tuple[bool, float, float, bool]:
+    """Of increments (M,2) and covariances (M,2,2): are all finite, the largest and the least number, are all sound.
 
-    A sound covariance is symmetric with a correlation of at most 1, up to rounding.
+    A sound covariance is symmetric with a correlation of at most 1, up to rounding. The largest number is that of the
+    increments, without its sign; the least is that of the variances, at most 0.
     """
-    finite, least, sound = True, 0.0, True
+    finite, largest, least, sound = True, 0.0, 0.0, True
     for m in range(cov.shape[0]):
         for i in range(2):
             finite &= math.isfinite(increments[m, i]) & math.isfinite(cov[m, i, 0]) & math.isfinite(cov[m, i, 1])
-            least = min(least, cov[m, i, i])
+            largest, least = max(largest, abs(increments[m, i])), min(least, cov[m, i, i])
         size, upper, lower = cov[m, 0, 0] * cov[m, 1, 1], cov[m, 0, 1], cov[m, 1, 0]
         sound &= (upper - lower) ** 2 <= ROUNDING * size and upper * lower <= (1.0 + ROUNDING) * size
-    return finite, least, sound
+    return finite, largest, least, sound
 
 
 def check_match(match: Match, corners: int, features: int) -> Match:

@@ -45,6 +45,13 @@ class Shared(Ekf):
         return self
 
 
+class Other(Ekf):
+    def copy(self) -> Any:
+        plain = Ekf.__new__(Ekf)
+        plain.__dict__.update(super().copy().__dict__)
+        return plain
+
+
 class Shifted(Ekf):
     def individual_nis(self, z: Any, R: Any, ids: Any) -> Any:
         return 2.0 * super().individual_nis(z, R, ids) + 1.0
@@ -78,7 +85,7 @@ class Backwards(Ekf):
         return type(found)(found.T_map_robot, found.pose_cov, found.ids[::-1].copy(), found.p_map, found.covs)
 
 
-MORE = {Flat: "belief.p_map", Backwards: "belief", Turned: "individual_nis", Keeping: "remove"}
+MORE = {Other: "copy", Flat: "belief.p_map", Backwards: "belief", Turned: "individual_nis", Keeping: "remove"}
 WRONG = {Frozen: "update", Deaf: "update", Shared: "copy", Shifted: "individual_nis", Broken: "predict"}
 
 
