@@ -31,6 +31,7 @@ from benchmarks.common import (
     save,
 )
 from benchmarks.trees import TreeError
+from mecp_env.cli.base import check_json
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.interrupts import INTERRUPTED
 from mecp_env.core.work_units import WHOLE, Shard
@@ -61,7 +62,10 @@ HAVING = {  # an option that not all benchmarks have -> those that have it
     "records": ON_RECORDS,
     "shard": (*IN_UNITS, RECORD),
     "task": ("uncertainty",),
-    "with": ("association", "clutter", "consistency", "filters", "map_size", "structures", "victoria_park"),
+    "with": (
+        *("association", "clutter", "consistency", "filters", "loop", "map_size", "noise", "structures"),
+        "victoria_park",
+    ),
 }
 COLOURS = 128  # of a committed picture: lines and areas need no more
 
@@ -83,11 +87,12 @@ def main(arguments: list[str] | None = None) -> int:
     except ShardDone as done:
         print(f"{done}; after all shards, the same command without --shard gives the figures")
         return 0
-    shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
     print(page_of(content, module))
+    if not given.gate:
+        keep(given, module, options, content)
+    shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
     if given.gate:
         return gate(module, content, RESULTS / f"{given.name}.json")
-    keep(given, module, options, content)
     faults = [f"failed: {fault}" for fault in getattr(module, "faults", no_faults)(content["figures"])]
     sys.stderr.writelines(f"{fault}\n" for fault in faults)
     return 1 if faults else 0
@@ -145,7 +150,7 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
 
 
 def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
-    """What is wrong with the options that only some benchmarks have."""
+    """What is wrong with the options that only some benchmarks have, and with the places that files are written to."""
     asked = vars(given) | {"with": given.modules, "shard": given.shard != WHOLE}
     for option, names in HAVING.items():
         if asked[option] and given.name not in names:
@@ -156,6 +161,11 @@ def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
         yield "--against: not with --gate"
     if given.cluster and given.jobs != 1:
         yield f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
+    if given.json:
+        try:
+            check_json(given.json, "json")
+        except ConfigError as error:
+            yield str(error)
     if given.records and given.records.is_file():
         yield f"--records: {given.records} is a file, not a folder"
 
@@ -171,7 +181,7 @@ def parser() -> argparse.ArgumentParser:
     add("--quick", action="store_true", help="a small sample; written only with --json")
     text = "of benchmarks with sets (association, loop, scale, ...): only these; written only with --json"
     add("--sets", **many, default=[], metavar="NAME[:COUNT]", help=text)
-    text = "of association and filters: modules that register others to compare; written only with --json"
+    text = f"of {', '.join(HAVING['with'])}: modules that register others to compare; written only with --json"
     add("--with", **many, default=[], metavar="MODULE", dest="modules", help=text)
     text = "of speed and start: compare the working tree with this commit; written only with --json"
     add("--against", metavar="GIT_REF", help=text)

@@ -30,12 +30,12 @@ from benchmarks.drives import Drive, Replay, replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, RIVALS, with_change
+from benchmarks.variants import DEFAULT, RIVALS, own_rows, with_change
 from mecp_env.core.carriers import Bools, Ints
+from mecp_env.core.errors import MecpError
 from mecp_env.core.intervals import estimate, share
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.policies.report import cell
-from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
 
 METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that override those of the drive
@@ -97,8 +97,7 @@ def methods() -> dict[str, dict[str, Any]]:
     """The rows of the table, and what each changes in the estimator; with those that modules register."""
     rows = {name: {"association": fields} for name, fields in METHODS.items()}
     rows[LETTER] = SlamConfig.paper().model_dump()
-    rows |= {name: {"association": {"method": name}} for name in config.METHODS.others}
-    return rows | {f"mecp, filter {name}": {"filter": {"kind": name}} for name in config.KINDS.others}
+    return rows | own_rows()
 
 
 def course(layout: str, seed: int) -> Course:
@@ -111,7 +110,15 @@ def course(layout: str, seed: int) -> Course:
 def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
     drive, rows = records.drive(course(*drive_of)), methods()
-    return {name: counts(drive, replay(drive, with_change(drive.slam, change))) for name, change in rows.items()}
+    return {name: counts(drive, replay_row(drive, name, change)) for name, change in rows.items()}
+
+
+def replay_row(drive: Drive, name: str, change: dict[str, Any]) -> Replay:
+    """What the estimator of a row makes of a drive; an error of a part says which row it is."""
+    try:
+        return replay(drive, with_change(drive.slam, change))
+    except MecpError as error:
+        raise type(error)(f"{name}: {error}") from error
 
 
 def counts(drive: Drive, outcome: Replay) -> Figures:

@@ -92,6 +92,11 @@ class WatchedAssociator(Associator):
         self.watched.remember(match)
 
     @property
+    def others(self) -> Associator:
+        """The associator, by which the pipeline knows a custom one."""
+        return self.watched
+
+    @property
     def counts(self) -> dict[str, Any]:
         """Milliseconds per scan, the median; and sums and means over the drive."""
         seen, paired, recognised, polygons = np.array(self.scans).T

@@ -27,7 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.columns import columns_of, means, ratios
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
@@ -41,6 +41,7 @@ from benchmarks.variants import (
     POLYGONS_ALONE,
     WITHOUT_POLYGONS,
     Variant,
+    own_rows,
     rival,
     two_pass_jcbb,
     with_change,
@@ -124,6 +125,7 @@ class Look:
 
 def run(options: Options) -> Figures:
     """Results of every set, variant and sigma of the pose."""
+    load_modules(options.modules)
     scans = QUICK_SCANS if options.quick else SCANS
     drives = [(layout, scans, seed) for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)]
     results = on_records(compare, dict[str, dict[str, Figures]], drives, options)
@@ -133,12 +135,17 @@ def run(options: Options) -> Figures:
 def compare(
     task: tuple[str, int, int],
     records: Records = IN_MEMORY,
-    variants: Sequence[str] = tuple(VARIANTS),
+    variants: Sequence[str] | None = None,
     sigmas: Sequence[tuple[float, float]] = SIGMAS,
 ) -> dict[str, dict[str, Figures]]:
-    """Counts of some variants and sigmas on scans of the drive of one layout and seed."""
+    """Counts of some variants, by default all, and sigmas on scans of the drive of one layout and seed."""
     layout, count, seed = task
-    return on_drive(records.drive(course(layout, seed)), count, seed, variants, sigmas)
+    return on_drive(records.drive(course(layout, seed)), count, seed, variants or tuple(all_variants()), sigmas)
+
+
+def all_variants() -> dict[str, Variant]:
+    """The variants, with the associators that modules have registered."""
+    return VARIANTS | {name: Variant(change) for name, change in own_rows().items() if "association" in change}
 
 
 def on_drive(
@@ -155,7 +162,7 @@ def on_drive(
             for k, sigma in enumerate(SIGMAS)
             if sigma in sigmas
         }
-        for name, variant in VARIANTS.items()
+        for name, variant in all_variants().items()
         if name in variants
     }
 

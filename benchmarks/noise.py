@@ -28,12 +28,12 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.columns import columns_of, means, precision_and_recall, ratios
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, rival, with_change
+from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, own_rows, rival, with_change
 from mecp_env.core.intervals import share
 from mecp_env.core.sensors import Odometry, Scan
 
@@ -118,10 +118,18 @@ GATES = tuple(
 
 def run(options: Options) -> Figures:
     """Results of every cell and variant."""
+    load_modules(options.modules)
     drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
     in_turn = sorted(drives, key=lambda drive: (drive[1], source(drive[0])))  # cells of one recording in succession
     results = on_records(compare, dict[str, Figures], in_turn, options)
-    return {cell: {name: summarise([of[name] for of in results[cell]]) for name in VARIANTS} for cell in dict(drives)}
+    return {
+        cell: {name: summarise([of[name] for of in results[cell]]) for name in all_variants()} for cell in dict(drives)
+    }
+
+
+def all_variants() -> dict[str, Variant]:
+    """The rows, with those of parts that modules have registered."""
+    return VARIANTS | {name: Variant(change) for name, change in own_rows().items()}
 
 
 def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
@@ -132,7 +140,7 @@ def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Fi
         drive = CHANGED[cell](drive, seed)
     return {
         name: replay(drive, with_change(drive.slam, variant.change), variant.make).counts
-        for name, variant in VARIANTS.items()
+        for name, variant in all_variants().items()
     }
 
 
@@ -182,7 +190,7 @@ def report(figures: Figures) -> str:
 
 def figure(figures: Figures) -> Figure:
     """Pose RMSE of every variant by the sensors."""
-    measured = [name for name in VARIANTS if all(name in cell for cell in figures.values())]
+    measured = [name for name in all_variants() if all(name in cell for cell in figures.values())]
     panels = {
         title: Panel(
             [label for cell, label in cells.items() if cell in figures],

@@ -16,7 +16,7 @@ from mecp_env.slam.association.cliques import FirstPass
 from mecp_env.slam.association.gating import MatchBuilder
 from mecp_env.slam.association.mecp import PolygonMatch
 from mecp_env.slam.association.rivals import pair_jointly
-from mecp_env.slam.config import METHODS, AssociationConfig, SlamConfig
+from mecp_env.slam.config import KINDS, METHODS, AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners, MapView, Polygon
 from mecp_env.slam.protocols import Associator, Filter
 
@@ -107,6 +107,12 @@ RIVALS: dict[str, dict[str, Any]] = {  # fields of the association section; none
     "nearest_room": {"method": "nearest_room"},
     "nearest_descriptor": {"method": "nearest_descriptor"},
 }
+
+
+def own_rows() -> dict[str, dict[str, Any]]:
+    """What to change in an estimator for each part that modules have registered: an associator, or `mecp`'s filter."""
+    rows: dict[str, dict[str, Any]] = {name: {"association": {"method": name}} for name in METHODS.others}
+    return rows | {f"{DEFAULT}, filter {name}": {"filter": {"kind": name}} for name in KINDS.others}
 
 
 def associators() -> dict[str, dict[str, Any]]:

@@ -38,6 +38,8 @@ class Names:
 
 def register(names: Names, makers: MutableMapping[str, Make], name: str, make: Make) -> None:
     """Make `name` known, and states ready to hold what `make` makes, where that is a class. Raises `ConfigError`."""
+    if not callable(make):
+        raise ConfigError(f"make: {shown(make)}, a class or a function expected")
     names.add(name)
     makers[name] = make
     if isinstance(make, type):

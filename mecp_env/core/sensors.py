@@ -22,6 +22,7 @@ from mecp_env.core.settings import Settings
 SEEN_NEAR_M = 0.3  # even a weak laser sees what is as near
 WIDEST_RAD = 3.0 * math.pi  # bearings of a turn are nearer to each other, whatever they count from
 FARTHEST_M = 100.0  # half of the ranges of a scan are nearer
+MOST_RANGE_M = 1000.0  # of a laser
 
 
 class LaserView(Settings):
@@ -144,8 +145,10 @@ class Scan:
         r, given = np.asarray(ranges, np.float64), np.asarray(bearings, np.float64)
         if r.ndim != 1 or r.shape != given.shape or not len(r):
             raise SensorError(f"ranges, bearings: shapes {r.shape} and {given.shape}, both (B,) with B >= 1 expected")
-        if not (np.isfinite(given).all() and 0.0 < max_range_m < math.inf):
-            raise SensorError(f"bearings, max_range_m: finite, and max_range_m = {max_range_m!r:.80} above 0, expected")
+        if not np.isfinite(given).all():
+            raise SensorError("bearings: every value must be finite")
+        if not 0.0 < max_range_m <= MOST_RANGE_M:
+            raise SensorError(f"max_range_m: {max_range_m!r:.80}, above 0 and at most {MOST_RANGE_M:g} m expected")
         _check_units(r, given, max_range_m)
         angles, first = np.unique(as_bearings(-given if clockwise else given), return_index=True)
         hit = np.isfinite(r[first]) & (r[first] > 0.0) & (r[first] < max_range_m)

@@ -9,6 +9,8 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import fields
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +19,8 @@ from mecp_env.core.se2 import compose, to_robot
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.checks import MatchError, check_match
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
-from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Polygon
+from mecp_env.slam.custom import check_belief, check_custom_match
+from mecp_env.slam.messages import Belief, Corners, MapView, Match, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter, FilterError
 
@@ -45,11 +48,11 @@ def check_filter(make: Callable[[FilterConfig], Filter]) -> None:
     for _ in range(STEPS):
         estimate.predict(motion)
         T = compose(T, ARC)
-        before = _sound(estimate.belief(), len(ids), "predict")
+        before = _sound(estimate, ids, "predict")
         z, R = seen(T, rng)
         _check_pairs(estimate, z, R, ids)
         estimate.update(z, R, ids)
-        after = _sound(estimate.belief(), len(ids), "update")
+        after = _sound(estimate, ids, "update")
         surer = np.trace(after.pose_cov) < np.trace(before.pose_cov)
         _require(bool(surer), "update: the pose is no surer after six landmarks were recognised")
     off = estimate.belief().T_map_robot - T
@@ -73,8 +76,10 @@ def _check_pairs(estimate: Filter, z: Array, R: Array, ids: Ints) -> None:
     _require(nu.shape == (2,) and S.shape == (2, 2), f"innovation: shapes {nu.shape}, {S.shape}, (2,), (2, 2) expected")
     _require(bool(np.linalg.eigvalsh(S).min() > 0.0), "innovation: S is not positive")
     blocks = np.array([R[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in range(len(z))])
+    fewer = estimate.individual_nis(z[1:], blocks[1:], ids)
+    expected = len(z) - 1, len(ids)
+    _require(np.shape(fewer) == expected, f"individual_nis: shape {np.shape(fewer)}, {expected} expected")
     nis = estimate.individual_nis(z, blocks, ids)
-    _require(nis.shape == (len(z), len(ids)), f"individual_nis: shape {nis.shape}, {(len(z), len(ids))} expected")
     same = math.isclose(float(nu @ np.linalg.solve(S, nu)), float(nis[0, 0]), rel_tol=0.05, abs_tol=0.01)
     _require(same, "individual_nis: another NIS than by `innovation`")
     own = nis.argmin(axis=1)
@@ -88,6 +93,7 @@ def _check_copy(estimate: Filter, z: Array, R: Array, ids: Ints) -> None:
     shapes = mean.shape, cov.shape
     _require(shapes == ((7,), (7, 7)), f"marginal: shapes {shapes}, (7,), (7, 7) expected")
     kept, other = estimate.belief(), estimate.copy()
+    _require(type(other) is type(estimate), f"copy: a {type(other).__name__}, another class")
     _require(bool(np.allclose(mean[:3], kept.T_map_robot)), "marginal: another pose than that of `belief`")
     other.update(z, R, ids)
     other.loosen(np.diag([1.0, 1.0, 0.1]))
@@ -107,17 +113,12 @@ def _check_removal(estimate: Filter, ids: Ints) -> None:
     left = np.delete(ids, 2)
     _require(np.array_equal(estimate.ids, left), "remove: other ids are left than those that were not named")
     _require(not estimate.has(int(ids[2])) and estimate.has(int(ids[3])), "has: the ids are others than those of `ids`")
-    _sound(estimate.belief(), len(left), "remove")
+    _sound(estimate, left, "remove")
 
 
-def _sound(belief: Belief, landmarks: int, method: str) -> Belief:
-    shapes = [np.shape(part) for part in (belief.T_map_robot, belief.pose_cov, belief.p_map, belief.covs)]
-    expected = [(3,), (3, 3), (landmarks, 2), (landmarks, 2, 2)]
-    _require(shapes == expected, f"belief: shapes {shapes}, {expected} expected")
-    covs = [belief.pose_cov, *belief.covs]
-    finite = all(np.isfinite(part).all() for part in (belief.T_map_robot, belief.p_map, *covs))
-    _require(finite, f"{method}: a number is not finite")
-    _require(all(np.linalg.eigvalsh(cov).min() > -1e-12 for cov in covs), f"{method}: a covariance is not positive")
+def _sound(estimate: Filter, ids: Ints, method: str) -> Belief:
+    belief = check_belief(estimate.belief(), ids, method)
+    _require(np.array_equal(belief.ids, estimate.ids), "belief: the ids are in another order than those of `ids`")
     return belief
 
 
@@ -139,18 +140,19 @@ class Watched(Associator):
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """That of the associator. Raises `MatchError`."""
-        before, rows = belief.belief(), view.features.rows.tobytes()
+        before, given = belief.belief(), (corners, *polygons, view.belief, view.features)
+        bits = _bits_of(given)
         match = self.associator.associate(corners, polygons, view, belief)
         check_match(match, len(corners), len(view.features))
-        if not _same(before, belief.belief()) or rows != view.features.rows.tobytes():
+        check_custom_match(match, view.features, len(polygons), sum(len(g.index) for g in view.groups.values()))
+        if not _same(before, belief.belief()):
             raise MatchError("associate: it changes the filter or the map")
-        named = match.ids[match.decision == Decision.LANDMARK]
-        if len(set(named.tolist())) < len(named):
-            raise MatchError(f"match.ids: {sorted(named.tolist())}, each landmark at most once expected")
+        if bits != _bits_of(given):
+            raise MatchError("associate: it changes the corners, the polygons or the map that it is given")
         again = copy.deepcopy(self.associator).associate(corners, polygons, view, belief.copy())
         if not np.array_equal(match.ids, again.ids):
             raise MatchError("associate: another match for the same scan, map and filter")
-        self.recognised += len(named)
+        self.recognised += match.found
         return match
 
     def remember(self, match: Match) -> None:
@@ -158,11 +160,18 @@ class Watched(Associator):
         self.associator.remember(match)
 
 
+def _bits_of(given: tuple[Any, ...]) -> list[bytes]:
+    """The content of all arrays in the fields of messages."""
+    values = [getattr(message, field.name) for message in given for field in fields(message)]
+    return [value.tobytes() for value in values if isinstance(value, np.ndarray)]
+
+
 def check_associator(make: Callable[[AssociationConfig], Associator]) -> int:
     """How many corners the associator that `make` makes recognises on a short drive in one room.
 
     Raises `MatchError` where a match has columns of another length or type, an id that was never given out, a landmark
-    twice, where filter or map are changed, and where the same question is answered differently.
+    twice, where filter, map or anything else that is given is changed, and where the same question is answered
+    differently.
     """
     config = SlamConfig()
     watched = Watched(make(config.association))

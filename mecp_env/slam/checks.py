@@ -15,9 +15,12 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import MecpError
 from mecp_env.core.errors import SensorError as SensorError
 from mecp_env.core.jit import compiled
-from mecp_env.core.sensors import Odometry, Scan
+from mecp_env.core.sensors import MOST_RANGE_M, Odometry, Scan
+from mecp_env.core.settings import shown
+from mecp_env.core.snapshot_check import FAR
 from mecp_env.slam.messages import Decision, Match
 
+FLOATS = np.dtype(np.float64)
 KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
 COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": np.dtype(np.float64)}
 ROUNDING = math.sqrt(np.finfo(np.float64).eps)  # of a product of variances, by which a covariance may be off
@@ -43,10 +46,12 @@ def check_scan(scan: Scan, field_of_view_rad: float = 2.0 * math.pi) -> None:
 
     Ranges and bearings are arrays of float64, hits of bool: the reader of a log converts other types.
     """
-    shape = np.shape(scan.ranges)
+    _require_kind(scan, Scan, "scan: {}, a Scan expected")
+    shape = _shape_of(scan.ranges, (1, 1))
     if len(shape) != 2 or 0 in shape:
         raise SensorError(f"scan.ranges: shape {shape} is not (K, B) with K, B >= 1")
-    _require_arrays(scan, KINDS, shape, "scan", SensorError)
+    require_arrays(scan, KINDS, shape, "scan", SensorError)
+    _check_range(scan.max_range_m)
     fault = find_fault(scan.ranges, scan.bearings, float(scan.max_range_m))
     if fault == Fault.NOT_FINITE:
         raise SensorError("scan.ranges, scan.bearings: every value must be finite")
@@ -57,6 +62,18 @@ def check_scan(scan: Scan, field_of_view_rad: float = 2.0 * math.pi) -> None:
         raise SensorError("scan.bearings: not ascending in (-pi, pi] in every sweep")
     if field_of_view_rad < 2.0 * math.pi:
         _check_view(scan.bearings, 0.5 * field_of_view_rad)
+
+
+def _require_kind(given: object, kind: type, said: str) -> None:
+    """Raise `SensorError`, which says what was given, for anything but an object of that kind."""
+    if not isinstance(given, kind):
+        raise SensorError(said.format(type(given).__name__))
+
+
+def _check_range(most: Any) -> None:
+    """Raise `SensorError` for a range of the laser (m) that no laser has."""
+    if not (isinstance(most, int | float | np.number) and 0.0 < most <= MOST_RANGE_M):
+        raise SensorError(f"scan.max_range_m: {shown(most)}, above 0 and at most {MOST_RANGE_M:g} m expected")
 
 
 def _check_view(bearings: Array, most: float) -> None:
@@ -99,15 +116,23 @@ def is_sound(ranges: Array, bearings: Array, max_range: float) -> bool:
 
 
 def check_odometry(odometry: Odometry) -> None:
-    """Raise `SensorError` unless the reading is M increments with finite, symmetric, non-negative covariances."""
-    shape = np.shape(odometry.increments)
+    """Raise `SensorError` unless the reading is M increments with finite, symmetric, non-negative covariances.
+
+    Increments and covariances are arrays of float64.
+    """
+    _require_kind(odometry, Odometry, "odometry: {}, an Odometry expected")
+    shape = _shape_of(odometry.increments, (0, 2))
     if len(shape) != 2 or shape[1] != 2:
         raise SensorError(f"odometry.increments: shape {shape} is not (M, 2)")
-    if np.shape(odometry.cov) != (shape[0], 2, 2):
-        raise SensorError(f"odometry.cov: shape {np.shape(odometry.cov)} is not {(shape[0], 2, 2)}")
-    finite, least, sound = look_over(np.asarray(odometry.increments, float), np.asarray(odometry.cov, float))
+    require_arrays(odometry, {"increments": FLOATS}, shape, "odometry", SensorError)
+    require_arrays(odometry, {"cov": FLOATS}, (shape[0], 2, 2), "odometry", SensorError)
+    if not isinstance(odometry.bumper, bool | np.bool_):
+        raise SensorError(f"odometry.bumper: {shown(odometry.bumper)}, True or False expected")
+    finite, largest, least, sound = look_over(odometry.increments, odometry.cov)
     if not finite:
         raise SensorError("odometry.increments, odometry.cov: every value must be finite")
+    if largest >= FAR:
+        raise SensorError(f"odometry.increments: {largest:g}, below {FAR} (m, rad) expected")
     if least < 0.0:
         raise SensorError(f"odometry.cov: variance {least:g} is below 0")
     if not sound:
@@ -115,19 +140,20 @@ def check_odometry(odometry: Odometry) -> None:
 
 
 @compiled
-def look_over(increments: Array, cov: Array) -> tuple[bool, float, bool]:
-    """Of increments (M,2) and covariances (M,2,2): are all finite, the least variance, at most 0, and are all sound.
+def look_over(increments: Array, cov: Array) -> tuple[bool, float, float, bool]:
+    """Of increments (M,2) and covariances (M,2,2): are all finite, the largest and the least number, are all sound.
 
-    A sound covariance is symmetric with a correlation of at most 1, up to rounding.
+    A sound covariance is symmetric with a correlation of at most 1, up to rounding. The largest number is that of the
+    increments, without its sign; the least is that of the variances, at most 0.
     """
-    finite, least, sound = True, 0.0, True
+    finite, largest, least, sound = True, 0.0, 0.0, True
     for m in range(cov.shape[0]):
         for i in range(2):
             finite &= math.isfinite(increments[m, i]) & math.isfinite(cov[m, i, 0]) & math.isfinite(cov[m, i, 1])
-            least = min(least, cov[m, i, i])
+            largest, least = max(largest, abs(increments[m, i])), min(least, cov[m, i, i])
         size, upper, lower = cov[m, 0, 0] * cov[m, 1, 1], cov[m, 0, 1], cov[m, 1, 0]
         sound &= (upper - lower) ** 2 <= ROUNDING * size and upper * lower <= (1.0 + ROUNDING) * size
-    return finite, least, sound
+    return finite, largest, least, sound
 
 
 def check_match(match: Match, corners: int, features: int) -> Match:
@@ -137,7 +163,7 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     """
     if not isinstance(match, Match):
         raise MatchError(f"match: {type(match).__name__}, a Match expected")
-    _require_arrays(match, COLUMNS, (corners,), "match", MatchError)
+    require_arrays(match, COLUMNS, (corners,), "match", MatchError)
     if not is_decided(match.ids, match.decision, features):
         _refuse(match.ids.tolist(), match.decision.tolist(), features)
     return match
@@ -165,7 +191,12 @@ def _refuse(ids: list[int], decisions: list[int], features: int) -> None:
             raise MatchError(f"match.ids[{corner}]: {id_}, one of the {features} ids given out expected, from 0")
 
 
-def _require_arrays(
+def _shape_of(given: Any, otherwise: tuple[int, ...]) -> tuple[int, ...]:
+    """The shape of an array; for anything else, which `require_arrays` then refuses, one that is right."""
+    return given.shape if isinstance(given, np.ndarray) else otherwise
+
+
+def require_arrays(
     carrier: object, kinds: dict[str, np.dtype[Any]], shape: tuple[int, ...], what: str, error: type[MecpError]
 ) -> None:
     """Raise `error` unless the fields of `kinds` are arrays of that type and `shape`."""

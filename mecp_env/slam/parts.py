@@ -9,10 +9,14 @@ from os import PathLike
 from pathlib import Path
 from typing import Any, Self
 
+import numpy as np
+
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import Associator, make_associator
+from mecp_env.slam.checks import check_match
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.filters import Filter, make_filter
+from mecp_env.slam.custom import BegunStep, UndoneOnError, check_belief, check_custom_match, check_part, is_ours
+from mecp_env.slam.filters import Filter, FilterError, make_filter
 from mecp_env.slam.filters.mounting import mount, robot_belief, robot_joint
 from mecp_env.slam.filters.window import Divergence
 from mecp_env.slam.grid import GridPainter
@@ -20,7 +24,7 @@ from mecp_env.slam.landmark_map import LandmarkMap
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
 from mecp_env.slam.localisation import PoseGuard
 from mecp_env.slam.map_file import MapStart, SlamMap, begin
-from mecp_env.slam.messages import ScanFeatures
+from mecp_env.slam.messages import Belief, Corners, FeatureState, Match, Polygon, ScanFeatures
 from mecp_env.slam.panorama import RecentScans
 from mecp_env.slam.rooms import RoomGraphEstimator
 from mecp_env.slam.rooms.doors import RoomLimits
@@ -50,9 +54,11 @@ class SlamParts:
         filter: Filter | None = None,
     ) -> None:
         self.config = config = SlamConfig.parse(config)
-        self.filter = filter or make_filter(config.filter)
+        self.filter = make_filter(config.filter) if filter is None else filter
+        self.associator = make_associator(config.association) if associator is None else associator
+        check_part(self.filter, "filter", Filter)
+        check_part(self.associator, "associator", Associator)
         mount(self.filter, config.sensor)
-        self.associator = associator or make_associator(config.association)
         self.divergence = Divergence(config.filter.diverged_sigma_m)
         self.map = LandmarkMap(config)
         self.rooms = RoomGraphEstimator(RoomLimits.of(config))
@@ -111,6 +117,40 @@ class SlamParts:
         with self.divergence:
             return self.recent.register(scan, self.filter)
         return False
+
+    def begin_step(self) -> BegunStep:
+        """Count a step; a context for as long as nothing is mapped: an error of custom parts in it changes nothing."""
+        begun = BegunStep() if is_ours(self.associator) and is_ours(self.filter) else UndoneOnError(self)
+        self.step_count += 1
+        return begun
+
+    def believed(self, after: str) -> Belief:
+        """What the filter believes. Raises `FilterError` for a custom one whose belief is unsound `after` something."""
+        belief = self.filter.belief()
+        return belief if is_ours(self.filter) else self._sound(belief, self.filter, after)
+
+    def correct(self, z: Array, R: Array, ids: Ints, iterate: bool) -> None:
+        """Update the filter; a custom one that is unsound then stays as it was. Raises `FilterError`."""
+        if is_ours(self.filter):
+            self.guard.update(self.filter, z, R, ids, iterate)
+            return
+        tried = self.filter.copy()
+        try:
+            self.guard.update(tried, z, R, ids, iterate)
+        except np.linalg.LinAlgError as error:
+            raise FilterError(f"{type(tried).__name__}.update: {error}") from error
+        self._sound(tried.belief(), tried, "update")
+        self.filter = tried
+
+    def _sound(self, belief: Belief, estimate: Filter, after: str) -> Belief:
+        landmarks = np.flatnonzero(self.map.features.rows["state"] == FeatureState.LANDMARK)
+        return check_belief(belief, landmarks, f"{type(estimate).__name__}.{after}")
+
+    def check_match(self, match: Match, corners: Corners, polygons: tuple[Polygon, ...]) -> None:
+        """Raise `MatchError` for an unsound match, and for one of a custom associator that names what is not there."""
+        check_match(match, len(corners), len(self.map.features))
+        if not is_ours(self.associator):
+            check_custom_match(match, self.map.features, len(polygons), len(self.map.polygons.polygons))
 
     def visible_landmarks(self, p_map: Array) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""

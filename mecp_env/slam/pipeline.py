@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association import ignored
-from mecp_env.slam.checks import check_match, check_odometry, check_scan
+from mecp_env.slam.checks import check_odometry, check_scan
+from mecp_env.slam.custom import BegunStep
 from mecp_env.slam.filters.mounting import predict_mounted, robot_belief
 from mecp_env.slam.frontend import front_end
 from mecp_env.slam.grid.key_scans import seen_floor
@@ -31,33 +32,33 @@ class SlamPipeline(SlamParts):
     def start(self, scan: Scan) -> SlamOutput:
         """The output for a scan taken at rest: the first ones belong to the start pose, before any motion.
 
-        Raises `SensorError` for an invalid scan, and `MatchError` for an invalid match of a custom associator. The
-        estimator is unchanged after a `SensorError`.
+        Raises `SensorError` for an invalid scan, `MatchError` for an invalid match of a custom associator, and
+        `FilterError` for an unsound belief of a custom filter. After these, the estimator is as it was before.
         """
         check_scan(scan, self.config.sensor.field_of_view_rad)
-        self.step_count += 1
-        return self._observe(scan)
+        return self._observe(scan, self.begin_step())
 
     def step(self, odometry: Odometry, scan: Scan) -> SlamOutput:
         """The output of one control step: the motion, then the scan at its end. Raises as `start` does."""
         check_odometry(odometry)
         check_scan(scan, self.config.sensor.field_of_view_rad)
-        self.step_count += 1
-        predict_mounted(self.filter, odometry, self.config.sensor)
-        self.guard.follow(odometry)
-        return self._observe(scan)
+        with self.begin_step() as begun:
+            predict_mounted(self.filter, odometry, self.config.sensor)
+            self.guard.follow(odometry)
+        return self._observe(scan, begun)
 
-    def _observe(self, scan: Scan) -> SlamOutput:
-        scanned = front_end(scan, self.config)  # III-A.1
-        tracked = self.register(scanned)
-        untouched, predicted, graph = self.filter, self.filter.belief(), self.rooms.graph()
-        corners, through = self.rooms.mark_beyond(scanned.corners, predicted)
-        corners = self._with_linearisation(corners, predicted)
-        around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
-        around = around.with_polygons(find_structure(*around.place, self.config.polygon, around.wall))  # III-A.2
-        view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
-        associated, updated, evidence = self._localise(around, view, tracked)  # III-B
-        belief = self.divergence.watch(self.filter.belief())
+    def _observe(self, scan: Scan, begun: BegunStep) -> SlamOutput:
+        with begun:
+            scanned = front_end(scan, self.config)  # III-A.1
+            tracked = self.register(scanned)
+            untouched, predicted, graph = self.filter, self.believed("predict"), self.rooms.graph()
+            corners, through = self.rooms.mark_beyond(scanned.corners, predicted)
+            corners = self._with_linearisation(corners, predicted)
+            around = self.recent.around(scanned.with_corners(corners), graph, self.map.features, self.filter)
+            around = around.with_polygons(find_structure(*around.place, self.config.polygon, around.wall))  # III-A.2
+            view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
+            associated, updated, evidence = self._localise(around, view, tracked)  # III-B
+            belief = self.divergence.watch(self.filter.belief())
         if self.guard.trusts(evidence.followed(tracked, self.recent.vouched)):
             seen = Sighting(corners, updated, through, belief, self.step_count)
             match, belief = self._map_scan(around, seen, evidence.sharp)  # III-B.1
@@ -121,7 +122,7 @@ class SlamPipeline(SlamParts):
             return ignored(len(around.scan.corners), Reason.NOT_LOCALISED)
         with self.divergence:
             of_all = self.associator.associate(around.corners, around.polygons, view, self.filter)
-            check_match(of_all, len(around.corners), len(view.features))
+            self.check_match(of_all, around.corners, around.polygons)
             return around.narrow(of_all)
         return ignored(len(around.scan.corners), Reason.NOT_LOCALISED)
 
@@ -130,8 +131,7 @@ class SlamPipeline(SlamParts):
         recognised = match.recognised()
         with self.divergence:
             if len(recognised):
-                z, R = corners.measurements(recognised)
-                self.guard.update(self.filter, z, R, match.ids[recognised], iterate)
+                self.correct(*corners.measurements(recognised), match.ids[recognised], iterate)
             return match
         return ignored(len(corners), Reason.NOT_LOCALISED)
 

@@ -112,8 +112,8 @@ class Associator(Protocol):
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """A new match with one decision per corner; the map and the filter stay as they are.
 
-        The pipeline raises `MatchError` for columns of another length or type and for ids that were never given out.
-        Name a landmark at most once.
+        The pipeline raises `MatchError` for columns of another length or type, ids that were never given out, and, of
+        a custom associator, a landmark named twice or none of the map, and numbers of polygons that do not exist.
         """
 
     def remember(self, match: Match) -> None:

@@ -170,6 +170,8 @@ def test_the_command_writes_figures_and_page_and_gates_against_them(
     [
         ("", "name"),
         ("speed --jobs 0", "expected at least 1"),
+        ("speed --json /dev/null/x.json", "--json: /dev/null is a file, not a folder"),
+        ("speed --json page.md", "json: page.md: expected the name of a file that ends in .json"),
         ("worlds --shard 3/2", "1 <= NUMBER <= COUNT"),
         ("speed --shard 1/2", "--shard: speed does not have it; ablation"),
         ("worlds --sets easy:1001", "a count from 1 to 1000"),

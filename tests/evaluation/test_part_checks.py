@@ -45,6 +45,13 @@ class Shared(Ekf):
         return self
 
 
+class Other(Ekf):
+    def copy(self) -> Any:
+        plain = Ekf.__new__(Ekf)
+        plain.__dict__.update(super().copy().__dict__)
+        return plain
+
+
 class Shifted(Ekf):
     def individual_nis(self, z: Any, R: Any, ids: Any) -> Any:
         return 2.0 * super().individual_nis(z, R, ids) + 1.0
@@ -67,10 +74,22 @@ class Keeping(Ekf):
         """Nothing is forgotten."""
 
 
+class Turned(Ekf):
+    def individual_nis(self, z: Any, R: Any, ids: Any) -> Any:
+        return super().individual_nis(z, R, ids).T
+
+
+class Backwards(Ekf):
+    def belief(self) -> Any:
+        found = super().belief()
+        return type(found)(found.T_map_robot, found.pose_cov, found.ids[::-1].copy(), found.p_map, found.covs)
+
+
+MORE = {Other: "copy", Flat: "belief.p_map", Backwards: "belief", Turned: "individual_nis", Keeping: "remove"}
 WRONG = {Frozen: "update", Deaf: "update", Shared: "copy", Shifted: "individual_nis", Broken: "predict"}
 
 
-@pytest.mark.parametrize(("mine", "method"), [*WRONG.items(), (Flat, "belief"), (Keeping, "remove")])
+@pytest.mark.parametrize(("mine", "method"), [*WRONG.items(), *MORE.items()])
 def test_what_is_wrong_with_a_filter_is_named(mine: Any, method: str) -> None:
     with pytest.raises(FilterError, match=f"^{method}: "):
         check_filter(mine)
@@ -109,6 +128,11 @@ def moving(match: Any, view: Any, belief: Any) -> Any:
     return match
 
 
+def farther(match: Any, view: Any, belief: Any) -> Any:
+    view.belief.p_map[:] += 1.0
+    return match
+
+
 def nothing_new(match: Any, view: Any, belief: Any) -> Any:
     return match.assign(slice(None), -1, int(Decision.IGNORED), 0)
 
@@ -118,7 +142,13 @@ def drawn(match: Any, view: Any, belief: Any, rng: Any = np.random.default_rng(0
     return match.assign(found[rng.random(len(found)) < 0.5], -1, int(Decision.IGNORED), 0)
 
 
-SAID = {twice: "at most once", unknown: "10000", short: "match.ids", moving: "changes the filter"}
+SAID = {
+    twice: "at most once",
+    unknown: "10000",
+    short: "match.ids",
+    moving: "changes the filter",
+    farther: "that it is given",
+}
 
 
 @pytest.mark.parametrize(("spoil", "said"), [*SAID.items(), (nothing_new, "no landmark"), (drawn, "same scan")])

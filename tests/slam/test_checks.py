@@ -54,6 +54,9 @@ def test_the_fault_of_a_scan_is_that_of_the_plain_twin(beams, max_range):
         ("bearings", lambda a: a[:, ::-1], "scan.bearings"),
         ("hit", np.int64, "scan.hit: an array of int64, one of bool"),
         ("hit", lambda a: a[:, 1:], "scan.hit"),
+        ("max_range_m", str, r"scan.max_range_m: '30.0', above 0 and at most 1000 m"),
+        ("max_range_m", lambda _: math.nan, "scan.max_range_m: nan, above 0"),
+        ("max_range_m", lambda r: 1e3 * r, "scan.max_range_m: 30000.0, above 0"),
     ],
 )
 def test_a_scan_of_another_type_shape_or_order_is_refused(field, change, told):
@@ -73,8 +76,11 @@ def unlike(a12, a21, a11=1.0):
     [
         ("increments", lambda a: a * np.nan, "every value must be finite"),
         ("increments", lambda a: a[0], r"shape \(2,\) is not"),
+        ("increments", np.ndarray.tolist, "list, an array of float64"),
+        ("increments", lambda a: a + 500.0, r"501, below 500 \(m, rad\) expected"),
+        ("bumper", str, "'False', True or False expected"),
         ("cov", lambda a: a * np.nan, "every value must be finite"),
-        ("cov", lambda a: a[:1], r"shape \(1, 2, 2\) is not \(2, 2, 2\)"),
+        ("cov", lambda a: a[:1], r"shape \(1, 2, 2\), \(2, 2, 2\) expected"),
         ("cov", unlike(0.0, 0.0, -2.0), "variance -2 is below 0"),
         ("cov", unlike(0.5, 0.4), "not symmetric, or not positive"),
         ("cov", unlike(1.1, 1.1), "not symmetric, or not positive"),
@@ -87,6 +93,13 @@ def test_unsound_odometry_is_refused(field, change, told):
         check_odometry(reading)
     with pytest.raises(SensorError, match=rf"odometry\.{field}.*: {told}"):
         check_odometry(replace(reading, **{field: change(getattr(reading, field))}))
+
+
+def test_what_is_neither_scan_nor_odometry_is_refused():
+    for check, kind in ((check_scan, "a Scan"), (check_odometry, "an Odometry")):
+        for given in (None, np.zeros(3)):
+            with pytest.raises(SensorError, match=f"{type(given).__name__}, {kind} expected"):
+                check(given)
 
 
 def with_decision(n, decision, id_):

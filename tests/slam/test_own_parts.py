@@ -1,6 +1,7 @@
 """Custom associators and filters, registered by name for every configuration (docs/own-parts.md)."""
 
 import importlib
+from dataclasses import fields, replace
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -12,16 +13,19 @@ import pytest
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks import __main__ as command
 from benchmarks import association as benchmark
+from benchmarks import loop, noise
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
-from mecp_env.slam import config
-from mecp_env.slam.association import register_associator
+from mecp_env.slam import MatchError, config
+from mecp_env.slam.association import MecpAssociator, register_associator
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.filters import Ekf, RightInvariantEkf, register_filter
+from mecp_env.slam.filters import Ekf, FilterError, RightInvariantEkf, register_filter
+from mecp_env.slam.messages import Decision, FeatureState
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.command_lines import written_modules
-from tests.env.helpers import episode_of
-from tests.slam.drives import Drive
+from tests.env.helpers import episode_of, same
+from tests.slam.drives import Drive, Given, fed
 
 OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "plain_ekf"}, "polygon": {"structure": "both"}}
 
@@ -72,6 +76,11 @@ class Boxed:
     def ids(self) -> Any:
         return self.inner.ids
 
+    def copy(self) -> Any:
+        other = object.__new__(Boxed)
+        other.inner = self.inner.copy()
+        return other
+
 
 def test_a_map_holds_them(own: dict[str, ModuleType], drive: Drive, tmp_path: Path) -> None:
     register_filter("boxed", Boxed)
@@ -89,13 +98,135 @@ def test_a_map_holds_them(own: dict[str, ModuleType], drive: Drive, tmp_path: Pa
 
 def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
     rows = benchmark.methods()
-    assert list(rows)[-2:] == ["global_nearest", "mecp, filter plain_ekf"]
+    assert list(rows)[-2:] == list(noise.all_variants())[-2:] == ["global_nearest", "mecp, filter plain_ekf"]
+    assert list(loop.all_variants())[-1] == "global_nearest"
     assert command.main(["association", "--with", "global_nearest", "plain_ekf", "--sets", "two_rooms:1"]) == 0
     said = capsys.readouterr().out
     assert "## two_rooms (1 seeds)" in said
     assert "| global_nearest |" in said
     assert "| mecp, filter plain_ekf |" in said
     assert "## paper" not in said
+
+
+def damaged(match: Any, view: Any, kind: str) -> Any:
+    """A match with an error of that kind."""
+    if kind == "twice":
+        return match.assign(match.recognised()[:2], view.belief.ids[0], int(Decision.LANDMARK), 0)
+    if kind == "removed":
+        view.features.rows["state"][0] = FeatureState.DEAD
+        return match.assign(0, 0, int(Decision.LANDMARK), 0)
+    if kind == "raises":
+        raise KeyError(kind)
+    return replace(match, **{kind: 77})
+
+
+@pytest.mark.parametrize(
+    ("kind", "error", "said"),
+    [
+        ("twice", MatchError, "each landmark at most once"),
+        ("removed", MatchError, r"match.ids\[0\]: 0 is a track, or removed"),
+        ("known", MatchError, "match.known: 77, a number from -1"),
+        ("polygon", MatchError, "match.polygon: 77, a number from -1"),
+        ("raises", KeyError, "raises"),
+    ],
+)
+def test_a_wrong_match_changes_nothing(kind: str, error: Any, said: str, drive: Drive) -> None:
+    """Seen: prediction and step stayed, a landmark named twice was used twice, and `known` raised an IndexError."""
+    inner = MecpAssociator(SlamConfig().association)
+    wrong = False
+
+    def answer(corners: Any, polygons: Any, view: Any, belief: Any) -> Any:
+        match = inner.associate(corners, polygons, view, belief)
+        return damaged(match, view, kind) if wrong else match
+
+    pipeline = SlamPipeline(associator=Given(answer))
+    list(fed(pipeline, drive, 0, 30))
+    before = without_associator(pipeline)
+    wrong = True
+    with pytest.raises(error, match=said):
+        pipeline.step(drive.odometry[30], drive.scans[30])
+    pipeline.map.features.rows["state"][0] = FeatureState.LANDMARK
+    assert same(without_associator(pipeline), before)
+
+
+def without_associator(pipeline: SlamPipeline) -> Any:
+    """The state of a pipeline but for its associator."""
+    return encode(
+        {field.name: getattr(pipeline, field.name) for field in fields(pipeline) if field.name != "associator"}
+    )
+
+
+def spoilt(own: ModuleType, method: str, spoil: Any) -> type:
+    """The filter of the page, of which one method does something else once `on` is set."""
+    plain = getattr(own.PlainEkf, method)
+
+    def changed(self: Any, *args: Any, **keywords: Any) -> Any:
+        result = plain(self, *args, **keywords)
+        return spoil(self, result) if Spoilt.on else result
+
+    Spoilt = type("Spoilt", (own.PlainEkf,), {method: changed, "on": False})
+    return Spoilt
+
+
+def set_cov(self: Any, _: Any) -> None:
+    self.cov[5, 5] = -1.0
+
+
+def set_mean(self: Any, _: Any) -> None:
+    self.mean[3] = np.nan
+
+
+def singular(self: Any, _: Any) -> None:
+    raise np.linalg.LinAlgError("Singular matrix")
+
+
+@pytest.mark.parametrize("spoil", [set_cov, set_mean, singular])
+def test_an_unsound_update_of_a_custom_filter_is_a_divergence(
+    own: dict[str, ModuleType], drive: Drive, spoil: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Seen: the run went on with a negative variance or a landmark at nan, and did not say so."""
+    make = spoilt(own["plain_ekf"], "update", spoil)
+    pipeline = SlamPipeline(filter=make(SlamConfig().filter))
+    *_, output = fed(pipeline, drive, 0, 30)
+    assert not output.diverged
+    make.on = True
+    output = pipeline.step(drive.odometry[30], drive.scans[30])
+    assert output.diverged
+    assert "Spoilt.update: " in caplog.text
+    assert np.isfinite(output.belief.p_map).all()
+    assert np.linalg.eigvalsh(output.belief.covs).min() > 0.0
+
+
+@pytest.mark.parametrize(
+    ("method", "spoil", "said"),
+    [
+        ("window", lambda _, found: found._replace(state=found.state[:-2, :-2]), r"window: state .* expected"),
+        ("window", lambda _, found: found._replace(state=found.state[0]), r"window: state .* expected"),
+        ("window", lambda _, found: None, "window: NoneType, a Window expected"),
+        ("predict", set_mean, "Spoilt.predict: a number is not finite"),
+    ],
+)
+def test_an_unsound_custom_filter_is_refused_and_changes_nothing(
+    own: dict[str, ModuleType], drive: Drive, method: str, spoil: Any, said: str
+) -> None:
+    """Seen: compiled functions read beyond the end of a window."""
+    make = spoilt(own["plain_ekf"], method, spoil)
+    register_filter("spoilt", make)
+    pipeline = SlamPipeline({"filter": {"kind": "spoilt"}})
+    list(fed(pipeline, drive, 0, 30))
+    before, make.on = without_associator(pipeline), True
+    with pytest.raises(FilterError, match=said):
+        pipeline.step(drive.odometry[30], drive.scans[30])
+    assert same(without_associator(pipeline), before)
+
+
+def test_what_is_no_part_is_refused() -> None:
+    for name in ("associator", "filter"):
+        for part in ("ekf", Ekf):
+            with pytest.raises(ConfigError, match=f"{name}: .*(derive from|an object of it expected)"):
+                SlamPipeline(**{name: part})
+    with pytest.raises(ConfigError, match="make: None, a class or a function expected"):
+        register_filter("nothing", None)
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.slam.association.gating import GatedAssociator, MatchBuilder, chi2_gate, one_to_one, pairing_table
 from mecp_env.slam.association.rivals import pair_nearest
+from mecp_env.slam.checks import check_match
 from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import (
     NO_DOORS,
@@ -106,6 +107,7 @@ class PostsApart(Associator):
         rings = tuple(replace(polygons[p], corners=np.searchsorted(plain, polygons[p].corners)) for p in kept)
         shown = without_posts(view, plain)
         found = self.others.associate(some_corners(corners, plain), rings, shown, _alone(belief, shown.belief.ids))
+        check_match(found, len(plain), len(view.features))
         builder = MatchBuilder(len(corners))
         builder.assign(plain, found.decision, found.reason, found.ids, found.nis)
         builder.polygon = kept[found.polygon] if found.polygon >= 0 else -1

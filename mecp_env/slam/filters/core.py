@@ -109,6 +109,10 @@ class LandmarkFilter(WindowFilter):
         """The whole state, which is not copied."""
         return Window(self.state, self.slot_ids, self.invariant)
 
+    def checked_window(self, ids: Ints, apart: bool = False) -> Window:
+        """`window`, which is sound."""
+        return self.window(ids, apart)
+
     def belief(self) -> Belief:
         return belief_of(Window(self.state, self.slot_ids, self.invariant))
 

@@ -7,11 +7,12 @@ The one place where a filter that diverges is noticed.
 
 from __future__ import annotations
 
+import logging
 import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from types import TracebackType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +33,8 @@ from mecp_env.slam.filters.models import (
 from mecp_env.slam.filters.update import gauss_newton, take, world_belief
 from mecp_env.slam.messages import NO_ID, Belief
 from mecp_env.slam.protocols import Filter, FilterError
+
+log = logging.getLogger(__name__)
 
 FAR = 1e4  # a range or bearing alone that gives this NIS makes the pair "absurdly far": inf; beyond every gate
 
@@ -217,6 +220,8 @@ class Divergence:
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> bool:
         failed = isinstance(error, FilterError)
+        if failed and not self.found:
+            log.warning("mecp_env: the filter diverged: %s", error)
         self.found |= failed
         return failed
 
@@ -248,6 +253,10 @@ class WindowFilter(Filter):
         """True when the filter holds a landmark, or a mark of a past pose, with this id."""
         return bool((self.slot_ids == landmark).any())
 
+    def checked_window(self, ids: Ints, apart: bool = False) -> Window:
+        """`window`, as the compiled functions take it. Raises `FilterError` unless its parts fit each other."""
+        return check_window(self.window(ids, apart))
+
     @abstractmethod
     def window(self, ids: Ints, apart: bool = False) -> Window:
         """The Gaussian of the pose and at least the landmarks `ids` (m,); it is read, and not kept.
@@ -258,11 +267,11 @@ class WindowFilter(Filter):
 
     def belief(self) -> Belief:
         """Pose and landmarks with their own covariances, in world coordinates, without marks of past poses; a copy."""
-        return belief_of(self.window(self.ids))
+        return belief_of(self.checked_window(self.ids))
 
     def marginal(self, ids: Ints) -> tuple[Array, Array]:
         """Mean (3+2m,) x, y, heading, landmarks and covariance (3+2m,3+2m), world coordinates."""
-        state, slot_ids, invariant = self.window(ids)
+        state, slot_ids, invariant = self.checked_window(ids)
         part = take(state, slots_of(slot_ids, ids))
         size = part.shape[1]
         change_chart(part, size, 1.0, invariant)
@@ -273,7 +282,7 @@ class WindowFilter(Filter):
     def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
         """nu (2n,) and S (2n,2n) of the pairs z[i] - ids[i]; z (n,2), R (2n,2n), ids (n,)."""
         z, R, ids = observations(z, R, ids)
-        size, (state, slot_ids, invariant) = 2 * len(ids), self.window(ids)
+        size, (state, slot_ids, invariant) = 2 * len(ids), self.checked_window(ids)
         nu, S = np.empty(size), np.empty((size, size))
         if not innovation(state, slot_ids, ids, z, R, invariant, nu, S):
             slots_of(slot_ids, ids)
@@ -282,7 +291,7 @@ class WindowFilter(Filter):
     def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
         """NIS (n,m) of every z (n,2), R (n,2,2) against every id (m,); inf where absurdly far."""
         z, R, ids = as_floats(z), as_floats(R), integers(ids)
-        nis, (state, slot_ids, invariant) = np.empty((len(z), len(ids))), self.window(ids, apart=True)
+        nis, (state, slot_ids, invariant) = np.empty((len(z), len(ids))), self.checked_window(ids, apart=True)
         if not pairwise_nis(state, slot_ids, ids, z, R, invariant, nis):
             slots_of(slot_ids, ids)
         return nis
@@ -290,7 +299,7 @@ class WindowFilter(Filter):
     def joint_nis(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> float:
         """Least cost (prior + residuals, 2n degrees of freedom) of the pairs over pose and map (derivations 3.2)."""
         z, R, ids = observations(z, R, ids)
-        window = self.window(ids)
+        window = self.checked_window(ids)
         steps = self.update_iterations if iterate else 1
         nis = joint_cost(window.state, window.slot_ids, ids, z, R, window.invariant, steps)
         return finite(nis, "joint_nis", window, ids)
@@ -298,7 +307,7 @@ class WindowFilter(Filter):
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
         """Twice the log of how much likelier the pairs are with a covariance (3,3) of x, y, heading more."""
         z, R, ids = observations(z, R, ids)
-        window = self.window(ids)
+        window = self.checked_window(ids)
         factor = log_bayes_factor(window.state, window.slot_ids, ids, z, R, window.invariant, as_floats(pose_cov))
         return finite(factor, "log_bayes_factor", window, ids)
 
@@ -308,9 +317,23 @@ class WindowFilter(Filter):
         Differs from the paper: S has the cross term of pose and map; `paper_S` leaves it out.
         """
         z, R, ids = observations(z, R, ids)
-        window = self.window(ids)
+        window = self.checked_window(ids)
         nis = centre_nis(window.state, window.slot_ids, ids, z, R, window.invariant, paper_S)
         return finite(nis, "mean_of_gaussians_nis", window, ids)
+
+
+def check_window(window: Any) -> Window:
+    """A window of contiguous arrays of float64 and int64. Raises `FilterError` unless these fit each other."""
+    if not isinstance(window, tuple) or len(window) != len(Window._fields):
+        raise FilterError(f"window: {type(window).__name__}, a Window expected")
+    try:
+        state, slot_ids = as_floats(window[0]), integers(window[1])
+    except (TypeError, ValueError) as error:
+        raise FilterError(f"window: {error}") from None
+    size = 3 + 2 * slot_ids.size
+    if slot_ids.ndim != 1 or state.ndim != 2 or state.shape[0] <= size or state.shape[1] < size:
+        raise FilterError(f"window: state {state.shape} for slot_ids {slot_ids.shape}, {(1 + size, size)} expected")
+    return Window(state, slot_ids, bool(window[2]))
 
 
 def belief_of(window: Window) -> Belief:

@@ -66,8 +66,8 @@ def test_corners_and_polygons_of_the_scan_keep_their_numbers(drive):
     def first_corner(corners, polygons, view, belief):
         seen.append((corners, polygons, view))
         builder = MatchBuilder(len(corners))
-        if len(corners):
-            builder.assign(0, Decision.LANDMARK, Reason.POLYGON, 7, 2.5)
+        if len(corners) and len(view.features):
+            builder.assign(0, Decision.LANDMARK, Reason.POLYGON, 0, 2.5)
         builder.polygon, builder.map_polygon = 0, 7
         return builder.match()
 

@@ -1,0 +1,116 @@
+"""What a custom associator or filter must keep to while the estimator runs; the parts of this package are not asked.
+
+`mecp_env.evaluation.part_checks` tries a part on constructed data before.
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, Self
+
+import numpy as np
+
+from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import shown
+from mecp_env.core.snapshot import PACKAGE
+from mecp_env.core.snapshot_check import FAR
+from mecp_env.slam.checks import ROUNDING, MatchError, require_arrays
+from mecp_env.slam.messages import Belief, Decision, FeatureState, FeatureTable, Match, Reason
+from mecp_env.slam.protocols import FilterError
+
+FLOATS, IDS = np.dtype(np.float64), np.dtype(np.int64)
+REASONS = np.array(list(map(int, Reason)))
+COPIED = ("divergence", "guard", "recent")  # what changes in place before anything is mapped
+
+
+def is_ours(part: object) -> bool:
+    """True for a part that this package defines, and that has none of the user's inside."""
+    return type(getattr(part, "others", part)).__module__.partition(".")[0] == PACKAGE
+
+
+def check_part(part: object, what: str, base: type) -> None:
+    """Raise `ConfigError` unless `part` is an object with all that `base` declares."""
+    where = f"{base.__module__}.{base.__name__}"
+    if isinstance(part, type):
+        raise ConfigError(f"{what}: the class {part.__name__}, an object of it expected")
+    lacking = [name for name in vars(base) if not name.startswith("_") and not hasattr(part, name)]
+    if lacking:
+        raise ConfigError(f"{what}: {type(part).__name__} has no {', '.join(lacking)}; derive from {where}")
+
+
+class BegunStep:
+    """A context in which a step begins: nothing is mapped there."""
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        pass
+
+
+class UndoneOnError(BegunStep):
+    """One that leaves the estimator as it was where something fails in it."""
+
+    def __init__(self, parts: Any) -> None:
+        self.parts, self.kept = parts, {"step_count": parts.step_count, "filter": parts.filter}
+        self.kept |= {name: copy.copy(getattr(parts, name)) for name in COPIED}
+        self.kept["recent"].scans = list(parts.recent.scans)
+        parts.filter = parts.filter.copy()
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        for name, value in self.kept.items() if kind is not None else ():
+            setattr(self.parts, name, value)
+
+
+def check_custom_match(match: Match, features: FeatureTable, polygons: int, map_polygons: int) -> None:
+    """Raise `MatchError` unless a match that `check_match` accepts names landmarks, each once, and what there is.
+
+    `polygons` and `map_polygons`: how many there are of the scan, and in the map.
+    """
+    corners = np.flatnonzero(match.decision == Decision.LANDMARK)
+    ids = match.ids[corners]
+    wrong = features.rows["state"][ids] != FeatureState.LANDMARK
+    if wrong.any():
+        first = int(wrong.argmax())
+        raise MatchError(f"match.ids[{corners[first]}]: {ids[first]} is a track, or removed; a landmark expected")
+    if len(set(ids.tolist())) < len(ids):
+        raise MatchError(f"match.ids: {sorted(ids.tolist())}, each landmark at most once expected")
+    if not np.isin(match.reason, REASONS).all():
+        raise MatchError(f"match.reason: {sorted(set(match.reason.tolist()))}, members of Reason expected")
+    for name, count in (("polygon", polygons), ("known", map_polygons)):
+        index = getattr(match, name)
+        if not isinstance(index, int | np.integer) or not -1 <= index < count:
+            raise MatchError(f"match.{name}: {shown(index)}, a number from -1 to {count - 1} expected")
+
+
+def check_belief(belief: Belief, landmarks: Ints, after: str) -> Belief:
+    """`belief` itself. Raises `FilterError` unless it is a Gaussian of the pose and of the `landmarks`, in any order.
+
+    `after` is what the filter did before.
+    """
+    n = len(landmarks)
+    shapes: dict[str, tuple[int, ...]] = {"T_map_robot": (3,), "pose_cov": (3, 3), "p_map": (n, 2), "covs": (n, 2, 2)}
+    for name, shape in shapes.items():
+        require_arrays(belief, {name: FLOATS}, shape, "belief", FilterError)
+    require_arrays(belief, {"ids": IDS}, (n,), "belief", FilterError)
+    if not np.array_equal(np.sort(belief.ids), np.sort(landmarks)):
+        given, expected = shown(belief.ids.tolist()), shown(landmarks.tolist())
+        raise FilterError(f"belief.ids: {given}, the landmarks {expected} expected")
+    for numbers in (belief.T_map_robot, belief.p_map, belief.pose_cov, belief.covs):
+        if not np.isfinite(numbers).all():
+            raise FilterError(f"{after}: a number is not finite")
+    if max(np.abs(belief.T_map_robot[:2]).max(), np.abs(belief.p_map).max(initial=0.0)) >= FAR:
+        raise FilterError(f"{after}: a place {FAR} m away, or further")
+    for cov in (belief.pose_cov, belief.covs):
+        _check_cov(cov, after)
+    return belief
+
+
+def _check_cov(cov: Array, after: str) -> None:
+    """Raise `FilterError` unless covariances (...,k,k) are symmetric and have no negative eigenvalue."""
+    rounding = ROUNDING * np.abs(cov).max(initial=0.0)
+    if (np.abs(cov - np.swapaxes(cov, -1, -2)) > rounding).any():
+        raise FilterError(f"{after}: a covariance is not symmetric")
+    if np.linalg.eigvalsh(cov).min(initial=0.0) < -rounding:
+        raise FilterError(f"{after}: a covariance is not positive")
