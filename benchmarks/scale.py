@@ -1,9 +1,13 @@
-"""Scale: what a step costs with 55, 300, 688 and 1,000 landmarks, in generated buildings of 200 rooms.
+"""Scale: what a step costs with 55, 300, 688 and 1,000 landmarks, in generated buildings of 200 rooms, and the drift.
 
 A building is explored breadth first, and the state is kept at so many landmarks in the map. Each state is continued
 for some steps, one state after the other and round again, so that other load on the machine affects all of them. A
 ratio compares the time per step in two blocks of the same round; the mean over the rounds is one figure per building.
 Times are CPU times of this thread, planner included.
+
+The exploration goes on to 12,000 steps. Its pose errors (median and 95 % quantile over the steps) and the share of the
+steps in which the pose is searched for show what long corridors cost, in which a scan has few corners or none. `window`
+is `riekf_submaps` with `panorama.use = "always"`: each scan is also registered with recent ones.
 """
 
 from __future__ import annotations
@@ -22,13 +26,19 @@ from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.generator import generate
 from mecp_env.wrappers import GoalActions
 
-FILTERS = ("riekf", "riekf_submaps")
+KINDS: dict[str, dict[str, Any]] = {
+    "riekf": {"filter": {"kind": "riekf"}},
+    "riekf_submaps": {"filter": {"kind": "riekf_submaps"}},
+    "window": {"filter": {"kind": "riekf_submaps"}, "panorama": {"use": "always"}},
+}
 COUNTS = (55, 300, 688, 1000)
 QUICK = (55, 300)
 BUILDING: dict[str, Any] = {"rooms": 200, "loops": 40, "corridors": 20, "shaped_rooms": 20, "furniture": 0.5}
 BUILDINGS, ROUNDS, BLOCK = 4, 4, 250
-SETS, MOST = dict.fromkeys(FILTERS, BUILDINGS), 100
-MOST_STEPS = 100_000
+SETS, MOST = dict.fromkeys(KINDS, BUILDINGS), 100
+MOST_STEPS, STEPS = 100_000, 12_000
+DRIFT, COLUMNS = "drift", ("median_m", "most_m", "lost")
+Drift = list[tuple[float, bool]]  # pose error in m, and whether the pose is known, in each step of an exploration
 
 GATES = (
     Gate("riekf_submaps/688/ratio", "bound", 2.0),
@@ -37,7 +47,7 @@ GATES = (
 
 
 def run(options: Options) -> Figures:
-    """Results of the filters at each number of landmarks; --quick: one building, 55 and 300 landmarks."""
+    """Results of each kind at each number of landmarks; --quick: one building, 55 and 300 landmarks."""
     buildings = chosen(options.sets, SETS, MOST) or SETS
     counts, buildings = (QUICK, dict.fromkeys(buildings, 1)) if options.quick else (COUNTS, buildings)
     tasks = [(kind, max(counts), seed) for kind in buildings for seed in range(buildings[kind])]
@@ -46,26 +56,35 @@ def run(options: Options) -> Figures:
 
 
 def measure(task: tuple[str, int, int]) -> dict[str, list[float]]:
-    """Microseconds per step by number of landmarks, one for each round, in one building."""
+    """Microseconds per step by number of landmarks, one for each round, and `drift_of`, in one building."""
     kind, most, seed = task
     layout = generate(GeneratorSpec.preset("easy", **BUILDING), seed)
-    env = GoalActions(MecpEnv(layout=layout, start="random", max_steps=MOST_STEPS, slam={"filter": {"kind": kind}}))
-    states = explored(env, seed, [count for count in COUNTS if count <= most])
+    env = GoalActions(MecpEnv(layout=layout, start="random", max_steps=MOST_STEPS, slam=KINDS[kind]))
+    states, drift = explored(env, seed, [count for count in COUNTS if count <= most])
     rounds = [{count: block(env, state) for count, state in states.items()} for _ in range(-1, ROUNDS)]
-    return {str(count): [us[count] for us in rounds[1:]] for count in states}  # without the first, a warm-up
+    us = {str(count): [us[count] for us in rounds[1:]] for count in states}  # without the first, a warm-up
+    return us | {DRIFT: drift_of(drift)}
 
 
-def explored(env: GoalActions, seed: int, counts: list[int]) -> dict[int, dict[str, Any]]:
-    """The state of an exploration when its map had so many landmarks."""
-    states, policy = dict[int, dict[str, Any]](), BreadthFirst()
+def explored(env: GoalActions, seed: int, counts: list[int]) -> tuple[dict[int, dict[str, Any]], Drift]:
+    """The state of an exploration when its map had so many landmarks, and its drift up to `STEPS`."""
+    states, drift, policy = dict[int, dict[str, Any]](), Drift(), BreadthFirst()
     observation, _ = env.reset(seed=seed)
-    for count in counts:
-        while len(env.base.slam_output.belief.ids) < count:
-            observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
-            if terminated or truncated:
-                return states
-        states[count] = env.base.get_state()
-    return states
+    env.callback, env.observes = lambda step: drift.append((step[4]["pose_error_m"], step[4]["localised"])), False
+    over = False
+    while not over and (len(drift) < STEPS or len(states) < len(counts)):
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
+        over, landmarks = terminated or truncated, len(env.base.slam_output.belief.ids)
+        if not over and len(states) < len(counts) and landmarks >= counts[len(states)]:
+            states[counts[len(states)]] = env.base.get_state()
+    env.callback, env.observes = None, True
+    return states, drift[:STEPS]
+
+
+def drift_of(drift: Drift) -> list[float]:
+    """Median and 95 % quantile of the pose error, m, and the share of the steps without a known pose."""
+    errors, known = np.array(drift).T
+    return [float(np.median(errors)), float(np.quantile(errors, 0.95)), float(1.0 - known.mean())]
 
 
 def block(env: GoalActions, state: dict[str, Any]) -> float:
@@ -83,8 +102,9 @@ def block(env: GoalActions, state: dict[str, Any]) -> float:
 
 
 def summarise(buildings: list[dict[str, list[float]]]) -> Figures:
-    """By number of landmarks: time per step, and its ratio to the smallest map of the same round."""
-    figures: Figures = {}
+    """By number of landmarks: time per step, and its ratio to the smallest map of the same round; then the drift."""
+    drifts = zip(*(found.pop(DRIFT) for found in buildings), strict=True)
+    figures: Figures = {DRIFT: {name: estimate(list(values)) for name, values in zip(COLUMNS, drifts, strict=True)}}
     for count in buildings[0]:
         us = [np.array(found[count]) for found in buildings if count in found]
         few = [np.array(found[str(COUNTS[0])]) for found in buildings if count in found]
@@ -94,11 +114,13 @@ def summarise(buildings: list[dict[str, list[float]]]) -> Figures:
 
 
 def report(figures: Figures) -> str:
-    """One table."""
-    counts = list(next(iter(figures.values())))
+    """Times, then the drift."""
+    counts = [count for count in next(iter(figures.values())) if count != DRIFT]
     rows = [
         (f"{kind}, {name}", *(of_kind[count][name] for count in counts))
         for kind, of_kind in figures.items()
         for name in ("us", "ratio")
     ]
-    return table(["", *counts], rows)
+    drift = [(kind, *(of_kind[DRIFT][name] for name in COLUMNS)) for kind, of_kind in figures.items()]
+    heads = ["", "pose error, median, m", "95 % quantile, m", "share without a known pose"]
+    return f"{table(['', *counts], rows)}\n## Drift\n\n{table(heads, drift)}"

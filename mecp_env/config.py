@@ -343,12 +343,13 @@ def refuse_unknown(section: type[Settings], fields: Mapping[str, Any], where: st
 def refuse_keywords(keywords: Iterable[str], others: Iterable[str], where: str) -> None:
     """Raise `KeywordError` for the first keyword that is neither a field of `EnvConfig` nor one of `others`.
 
-    The message is Python's own, on which libraries rely that try keywords.
+    The message begins with Python's own, on which libraries rely that try keywords.
     """
     known = [*others, *EnvConfig.model_fields, "config"]
     for name in keywords:
         if name not in known:
-            raise KeywordError(f"{where}() got an unexpected keyword argument {name!r}{alternatives(name, known)}")
+            hint = "; `reset` takes it" if name in ("seed", "options") else alternatives(name, known)
+            raise KeywordError(f"{where}() got an unexpected keyword argument {name!r}{hint}")
 
 
 def unknown(name: object, known: list[str], where: str) -> str:
