@@ -8,7 +8,7 @@ The first line trains PPO on `First-v0` for five minutes on two cores, and write
 
     python agents/train_first.py --seeds 0 1 2
     python agents/train_first.py --env mecp_env/Rooms-v0 --difficulty medium --algorithm maskable_ppo --steps 100000 \
-      --max-steps 600 --pace 0.9 --seeds 0 1 2 --evaluate-every 100000 --metric coverage_over_steps --out runs/medium
+      --max-steps 600 --pace 0.9 --seeds 0 1 2 --evaluate-every 20000 --metric coverage_over_steps --out runs/medium
     python agents/train_first.py --env mecp_env/ActiveHalls-v0 --algorithm maskable_ppo --steps 300000 --pace 0.8 \
       --gamma 0.8 --epochs 4 --seeds 0 1 2 --evaluate-every 300000 --metric correct_coverage_over_steps --out runs/halls
 """

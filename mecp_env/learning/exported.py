@@ -197,23 +197,23 @@ def statistics_for(algorithm: Any, path: Path) -> Path | None:
     found = statistics_of(path)
     if found is None and was_normalised(algorithm):
         raise ConfigError(
-            f"policy: {path} was trained in VecNormalize, and its statistics are not beside it as "
-            f"{path.stem}_vecnormalize.pkl; venv.save(...) writes them, and they are needed for normalised rewards, too"
+            f"policy: {path} was trained on observations that VecNormalize made, and its statistics are not beside it "
+            f"as {path.stem}_vecnormalize.pkl; venv.save(...) writes them"
         )
     return found
 
 
 def was_normalised(algorithm: Any) -> bool:
-    """True for a model that was trained in `VecNormalize`, of which its last observations are the only trace.
+    """True for a model that was trained on observations that `VecNormalize` made.
 
-    Algorithms with a replay buffer keep two observations anyway: there the normalised one has left its space.
+    Its last ones are the only trace: they have left the space. Where only rewards were normalised, they have not.
     """
     last: Any = getattr(algorithm, "_last_obs", None)
-    original = getattr(algorithm, "_last_original_obs", None)
-    if original is None or not hasattr(algorithm, "replay_buffer_class"):
-        return original is not None
-    first = {part: values[0] for part, values in last.items()} if isinstance(last, dict) else last[0]
-    return not algorithm.observation_space.contains(first)
+    if last is None or getattr(algorithm, "_last_original_obs", None) is None:
+        return False
+    rows = zip(*last.values(), strict=True) if isinstance(last, dict) else last
+    seen = (dict(zip(last, row, strict=True)) if isinstance(last, dict) else row for row in rows)
+    return not all(algorithm.observation_space.contains(row) for row in seen)
 
 
 def normalisation(place: Path) -> Callable[[Any], Any]:

@@ -132,10 +132,11 @@ def test_a_model_of_vec_normalize_without_its_statistics_is_refused(algorithm: s
     plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
     env = VecNormalize(plain)
     train = lambda env: getattr(stock, algorithm)("MlpPolicy", env, device="cpu", **TRAINED[algorithm]).learn(8)  # noqa: E731
-    train(plain).save(tmp_path / "model.zip")
-    assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+    for scored in (plain, VecNormalize(plain, norm_obs=False)):  # the second one changes rewards alone
+        train(scored).save(tmp_path / "model.zip")
+        assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
     train(env).save(tmp_path / "model.zip")
-    with pytest.raises(ConfigError, match=r"VecNormalize, .* beside it as model_vecnormalize\.pkl"):
+    with pytest.raises(ConfigError, match=r"VecNormalize made, .* beside it as model_vecnormalize\.pkl"):
         load(tmp_path / "model.zip", trust=True)
     env.save(str(tmp_path / "model_vecnormalize.pkl"))
     assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
