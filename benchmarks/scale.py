@@ -116,11 +116,12 @@ def summarise(buildings: list[dict[str, list[float]]]) -> Figures:
 def report(figures: Figures) -> str:
     """Times, then the drift."""
     counts = [count for count in next(iter(figures.values())) if count != DRIFT]
+    explorations = {kind: of_kind[DRIFT] for kind, of_kind in figures.items() if DRIFT in of_kind}
     rows = [
         (f"{kind}, {name}", *(of_kind[count][name] for count in counts))
         for kind, of_kind in figures.items()
         for name in ("us", "ratio")
     ]
-    drift = [(kind, *(of_kind[DRIFT][name] for name in COLUMNS)) for kind, of_kind in figures.items()]
+    drift = [(kind, *(found[name] for name in COLUMNS)) for kind, found in explorations.items()]
     heads = ["", "pose error, median, m", "95 % quantile, m", "share without a known pose"]
-    return f"{table(['', *counts], rows)}\n## Drift\n\n{table(heads, drift)}"
+    return f"{table(['', *counts], rows)}\n\n## Drift\n\n{table(heads, drift)}"
