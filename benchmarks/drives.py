@@ -92,8 +92,8 @@ class WatchedAssociator(Associator):
         self.watched.remember(match)
 
     @property
-    def others(self) -> Associator:
-        """The associator, by which the pipeline knows a custom one."""
+    def stands_for(self) -> Associator:
+        """The associator, which may be a custom one."""
         return self.watched
 
     @property

@@ -25,8 +25,8 @@ COPIED = ("divergence", "guard", "recent")  # what changes in place before anyth
 
 
 def is_ours(part: object) -> bool:
-    """True for a part that this package defines, and that has none of the user's inside."""
-    return type(getattr(part, "others", part)).__module__.partition(".")[0] == PACKAGE
+    """True for a part that this package defines; a wrapper is what it has as `stands_for`."""
+    return type(getattr(part, "stands_for", part)).__module__.partition(".")[0] == PACKAGE
 
 
 def check_part(part: object, what: str, base: type) -> None:

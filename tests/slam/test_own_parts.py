@@ -14,12 +14,14 @@ import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks import __main__ as command
 from benchmarks import association as benchmark
 from benchmarks import loop, noise
+from benchmarks.drives import WatchedAssociator
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
 from mecp_env.slam import MatchError, config
 from mecp_env.slam.association import MecpAssociator, register_associator
 from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.custom import is_ours
 from mecp_env.slam.filters import Ekf, FilterError, RightInvariantEkf, register_filter
 from mecp_env.slam.messages import Decision, FeatureState
 from mecp_env.slam.pipeline import SlamPipeline
@@ -218,6 +220,18 @@ def test_an_unsound_custom_filter_is_refused_and_changes_nothing(
     with pytest.raises(FilterError, match=said):
         pipeline.step(drive.odometry[30], drive.scans[30])
     assert same(without_associator(pipeline), before)
+
+
+def test_a_custom_part_is_checked_whatever_of_ours_it_has_inside() -> None:
+    class Around(MecpAssociator):
+        __slots__ = ("others",)
+
+    around, ours = Around(SlamConfig().association), MecpAssociator(SlamConfig().association)
+    around.others = ours
+    assert not is_ours(around)
+    assert is_ours(ours)
+    assert is_ours(WatchedAssociator(ours))
+    assert not is_ours(WatchedAssociator(around))
 
 
 def test_what_is_no_part_is_refused() -> None:

@@ -100,6 +100,11 @@ class PostsApart(Associator):
     others: Associator
     config: AssociationConfig
 
+    @property
+    def stands_for(self) -> Associator:
+        """The associator, which may be a custom one."""
+        return self.others
+
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """One decision per corner; a post is never a LANDMARK."""
         plain = np.flatnonzero(corners.kind != JAMB)
