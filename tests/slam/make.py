@@ -263,10 +263,17 @@ def evidence(
 
 
 def hypothesis(
-    ids: Any, at: Any = (0.0, 0.0, 0.0), *, share: float = 1.0, explained: float = 0.9, near: bool = False
+    ids: Any,
+    at: Any = (0.0, 0.0, 0.0),
+    *,
+    share: float = 1.0,
+    explained: float = 0.9,
+    recognised: float = 1.0,
+    near: bool = False,
 ) -> Hypothesis:
     """A pose for which as many corners speak, which are these landmarks."""
-    return Hypothesis(Located(np.array(at), np.eye(3), np.arange(len(ids)), integers(ids)), share, explained, near)
+    located = Located(np.array(at), np.eye(3), np.arange(len(ids)), integers(ids))
+    return Hypothesis(located, share, explained, recognised, near)
 
 
 def registration(turn: float, paired: int, against: int = 0, x: float = 0.0) -> Registration:

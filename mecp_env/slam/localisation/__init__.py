@@ -395,7 +395,8 @@ class PoseGuard:
         It is near when odometry that was wrong as much as it reported, and no more, is all between it and `predicted`.
         """
         said = agreement(beams, at.T_map_robot, grid, self.reach_m, self.config.explained_share)
-        explained = len(at.corners) / max(len(corners), 1) if math.isnan(said.explained) else said.explained
+        recognised = len(at.corners) / max(len(corners), 1)
+        explained = recognised if math.isnan(said.explained) else said.explained
         (x, y, heading), slack = at.T_map_robot - predicted, self.config.inlier_m
         near = math.hypot(x, y) < self.travelled + slack and abs(wrap_angle(heading)) < self.turned + slack
-        return Hypothesis(at, said.share, explained, near)
+        return Hypothesis(at, said.share, explained, recognised, near)

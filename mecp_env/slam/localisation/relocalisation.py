@@ -206,18 +206,25 @@ class Hypothesis(NamedTuple):
     at: Located
     share: float  # of the beams in mapped space that agree, nan: nothing is mapped there
     explained: float  # share of all beams, or of the corners, that the map explains
+    recognised: float  # share of the corners that it puts on a landmark
     near: bool  # failed odometry may be all that is between it and the prediction
 
     def is_sound(self, config: LocalisationConfig) -> bool:
-        """True when the map explains enough of the scan, and contradicts little of it."""
-        return self.explained >= config.explained_share and not self.share < config.explained_share
+        """True when the map explains enough of the scan, and contradicts little of it.
+
+        A pose that failed odometry does not explain needs as many of the corners as of the beams: another room of about
+        the same size explains most walls, and few corners.
+        """
+        least = config.explained_share
+        explains = self.explained >= least and (self.near or self.recognised >= least)
+        return explains and not self.share < least
 
     def may_be(self, other: Hypothesis, margin: int) -> bool:
         """True when the robot may as well be at the `other` pose."""
         return len(other.at.corners) > len(self.at.corners) - margin or other.share > self.share
 
 
-NOWHERE = Hypothesis(Located(np.zeros(3), np.zeros((3, 3)), NO_IDS, NO_IDS), 0.0, -1.0, near=False)
+NOWHERE = Hypothesis(Located(np.zeros(3), np.zeros((3, 3)), NO_IDS, NO_IDS), 0.0, -1.0, 0.0, near=False)
 
 
 def clear_winner(hypotheses: list[Hypothesis], config: LocalisationConfig) -> Hypothesis | None:

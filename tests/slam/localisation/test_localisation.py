@@ -123,6 +123,15 @@ def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_on
     assert clear_winner([far, near._replace(explained=0.85)], CONFIG) is far
 
 
+def test_a_far_pose_needs_the_corners_of_the_scan_too():
+    """Another room of about the same size explains the walls: 4 of 10 corners were enough after a slip."""
+    far = make.hypothesis([1, 2, 3, 4], (7.6, 0.0, 0.0), explained=0.74)
+    assert clear_winner([far], CONFIG) is far
+    assert clear_winner([far._replace(recognised=0.4)], CONFIG) is None
+    near = far._replace(recognised=0.4, near=True)
+    assert clear_winner([near], CONFIG) is near
+
+
 @pytest.mark.parametrize(
     ("share", "recognised", "sharp", "enough"),
     [
