@@ -17,7 +17,7 @@ from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
-from mecp_env.evaluation.metric_arrays import is_lost
+from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.slam.association import OracleAssociator, make_associator
@@ -191,10 +191,13 @@ def replay(
     x, y, heading = np.array(errors).T
     error_m, (far, phantoms, with_polygon) = np.hypot(x, y), np.array(seen).T
     nees, position_nees = (nees_of(np.array(errors)[:, :size], np.array(covs)[:, :size, :size]) for size in (3, 2))
+    lost = LostWatch()
+    for step in zip(error_m.tolist(), heading.tolist(), strict=True):
+        lost.look(*step)
     counts = {
         "rmse_m": float(np.sqrt((error_m**2).mean())),
         "nees": float(nees.mean()),
-        "lost": is_lost(error_m, heading, output.diverged),
+        "lost": lost.is_lost(output.diverged),
         "far": int(far.sum()),  # corners beyond 93 % of the laser's range
         "phantoms": int(phantoms.sum()),  # those of them that do not exist
         "polygon_share": float(with_polygon.mean()),  # of the scans, with a polygon

@@ -11,9 +11,10 @@ from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
-import scipy.spatial
 import shapely
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.spatial.distance import cdist
 
 from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints, carrier
@@ -50,7 +51,7 @@ def floor_and_walls(centres: Array, free: Bools, segments: Array) -> FloorAndWal
     p_world = np.ascontiguousarray(centres[free])
     lines = shapely.segmentize(shapely.linestrings(segments), SPACING_M)
     p_walls = shapely.get_coordinates(lines)
-    _, wall = scipy.spatial.cKDTree(p_walls).query(p_world)
+    _, wall = cKDTree(p_walls).query(p_world)
     return FloorAndWalls(p_world, np.asarray(wall, np.int64), p_walls)
 
 
@@ -276,7 +277,7 @@ def _face_error(truth: GroundTruth, door: Door, belief: Belief, T_world_map: Arr
     faces = true_doors.centre[true] + np.outer((0.5, -0.5), ahead * true_doors.thickness[true])
     known = [face for face in (door.jambs, door.other_face) if face is not None]
     p_map = np.array([belief.p_map[belief.rows(np.array(face))].mean(axis=0) for face in known])
-    return float(distances(to_map(T_world_map, p_map), faces).min(axis=1).mean())
+    return float(cdist(to_map(T_world_map, p_map), faces).min(axis=1).mean())
 
 
 def landmark_errors(p_world: Array, belief: Belief, corner: Ints, T_world_map: Array) -> Array:
@@ -342,12 +343,6 @@ def cells_at(grid: SemanticGrid, layer: NDArray[Any], p_map: Array, outside: Any
     values = np.full(len(p_map), outside, layer.dtype)
     values[inside] = layer[cells[inside, 1], cells[inside, 0]]
     return values
-
-
-def distances(a: Array, b: Array) -> Array:
-    """(n,m) m, of the points a (n,2) from the points b (m,2)."""
-    far: Array = np.sqrt(((a[:, None] - b[None]) ** 2).sum(axis=2))
-    return far
 
 
 def nearest_pairs(far: Array, gate: float) -> list[tuple[int, int]]:

@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.spatial.distance import cdist
 
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot
 from mecp_env.core.sensors import LaserView
@@ -15,7 +16,6 @@ from mecp_env.evaluation.ground_truth import (
     DynamicObstacles,
     GroundTruth,
     correct_coverage,
-    distances,
     door_centres,
     doors_found,
     grid_iou,
@@ -124,7 +124,7 @@ def test_pairs_are_nearest_first_and_one_to_one(seed):
     seen, true = rng.random((int(rng.integers(1, 9)), 2)), rng.random((int(rng.integers(1, 9)), 2))
     got = identities(seen, true, np.empty((0, 2, 2)), np.array([0.5, 0.5, 0.0]), 0.3)
     expected = np.full(len(seen), -1)
-    for row, column in nearest_pairs(distances(seen, true), 0.3):
+    for row, column in nearest_pairs(cdist(seen, true), 0.3):
         expected[row] = column
     assert np.array_equal(got, expected)
 
@@ -307,12 +307,12 @@ def test_pairs_are_the_nearest_of_those_left(seed):
     rng = np.random.default_rng(seed)
     a, b = rng.random((int(rng.integers(0, 9)), 2)), rng.random((int(rng.integers(0, 9)), 2))
     a[:1] = np.nan
-    left, pairs = np.where(distances(a, b) < 0.3, distances(a, b), np.inf), []
+    left, pairs = np.where(cdist(a, b) < 0.3, cdist(a, b), np.inf), []
     while np.isfinite(left).any():
         row, column = np.unravel_index(left.argmin(), left.shape)
         pairs.append((int(row), int(column)))
         left[row], left[:, column] = np.inf, np.inf
-    assert sorted(nearest_pairs(distances(a, b), 0.3)) == sorted(pairs)
+    assert sorted(nearest_pairs(cdist(a, b), 0.3)) == sorted(pairs)
 
 
 def test_the_centre_of_a_door_takes_both_faces():
@@ -401,11 +401,11 @@ def test_correct_coverage_is_its_plain_twin(truth):
     drawn = grid(label, origin=(-3.0, -2.5), resolution_m=0.13)
     occupied = drawn.origin + (np.argwhere(label == Cell.OCCUPIED)[:, ::-1] + 0.5) * drawn.resolution_m
     p_map, walls = (to_map(inverse(T_world_map), p) for p in (floor.p_world, floor.p_walls))
-    known = distances(walls, occupied).min(axis=1) <= 0.25
+    known = cdist(walls, occupied).min(axis=1) <= 0.25
     free = np.isin(labels_at(drawn, p_map), (Cell.FREE, Cell.DOOR))
     expected = (free & known[floor.wall]).mean()
     assert 0.01 < expected < 0.9
     assert correct_coverage(floor, drawn, T_world_map) == expected
     assert correct_coverage(floor, perfect_map(truth, T_world_map).grid, T_world_map) == 0.0  # without a wall
-    nearest = distances(floor.p_world[:100], floor.p_walls)
+    nearest = cdist(floor.p_world[:100], floor.p_walls)
     assert np.array_equal(nearest.min(axis=1), nearest[np.arange(100), floor.wall[:100]])
