@@ -41,24 +41,23 @@ class EpisodeStatistics:
     """What is summed over an episode; `custom` are the names of the reward terms that the user has registered."""
 
     def __init__(self, custom: Sequence[str] = ()) -> None:
-        self.curve, self.correct = CoverageCurve(), CoverageCurve(falls=True)
+        self.curve = CoverageCurve()
         self.rewards, self.custom = dict.fromkeys(REWARDS, 0.0), [f"reward_{name}" for name in custom]
         self.decisions = 0
 
     def add(self, info: dict[str, Any]) -> None:
         """Add one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
-        self.correct.add(info["metres"], info["period"], info["correct_coverage"])
         for name in REWARDS[:-1]:
             self.rewards[name] += info[name]
         self.rewards[REWARDS[-1]] += sum(info[name] for name in self.custom)
 
-    def figures(self, summary: dict[str, float], terminated: bool, max_steps: int) -> dict[str, float]:
-        """The metrics of an episode of at most `max_steps`, in the order of `FIGURES`."""
+    def figures(self, summary: dict[str, float], terminated: bool) -> dict[str, float]:
+        """The metrics of an episode, in the order of `FIGURES`."""
         found = {name: summary[name] for name in KEPT} | self.rewards
         found |= {"auc": self.curve.area_under(budget_m(summary["free_area_m2"])), "terminated": terminated}
         found |= {"reward": sum(self.rewards.values())}
-        found |= {"correct_over_steps": self.correct.area_under_steps(max_steps)}
+        found |= {"correct_over_steps": summary["correct_coverage_over_steps"]}
         found |= dict(zip(LENGTHS, (summary["periods"], self.decisions), strict=True))
         return {name: float(found[name]) for name in FIGURES}
 
@@ -108,8 +107,7 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
         self.statistics.decisions += 1
         info: dict[str, Any] = {"periods": len(self.steps), "discount": discount}
         if terminated or truncated:
-            limit = self.env.get_wrapper_attr("config").max_steps
-            info["figures"] = self.statistics.figures(self.env.get_wrapper_attr("summary")(), terminated, limit)
+            info["figures"] = self.statistics.figures(self.env.get_wrapper_attr("summary")(), terminated)
         diverged = bool(self.steps[-1][4]["diverged"])
         return observation, float(reward), terminated or diverged, truncated and not diverged, info
 

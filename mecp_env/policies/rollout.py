@@ -32,6 +32,11 @@ KEPT = (  # of the environment's own summary
     *("free_area_m2", "rooms", "rooms_found", "doors", "doors_found"),
     *("pose_error_final_m", "lost", "map_rmse_m", "landmarks", "landmarks_false", "duplicates", "contacts"),
 )
+OVER_LIMITS = {  # the same under the names that it has there
+    "coverage_over_steps": "coverage_over_steps",
+    "correct_over_metres": "correct_coverage_over_metres",
+    "correct_over_steps": "correct_coverage_over_steps",
+}
 Info = dict[str, Any]
 OnStep = Callable[[Info], None]
 See = Callable[[Any], Any]  # from an observation of the environment to that of a policy
@@ -40,20 +45,15 @@ Env = gym.Env[Any, Any]
 
 @dataclass(slots=True, eq=False)
 class CoverageCurve:
-    """The largest coverage so far, at each distance where it grew; a step function.
+    """The largest coverage so far, at each distance where it grew; a step function."""
 
-    With `falls`, the coverage itself at each distance where it changed: a map that slides off is correct no longer.
-    """
-
-    falls: bool = False
     metres: list[float] = field(default_factory=list)
     steps: list[int] = field(default_factory=list)
     coverage: list[float] = field(default_factory=list)
 
     def add(self, metres: float, step: int, coverage: float) -> None:
-        """Add the coverage after a step; only an increase is kept, or with `falls` a change."""
-        last = self.coverage[-1] if self.coverage else -1.0
-        if coverage > last or (self.falls and coverage != last):
+        """Add the coverage after a step; only an increase is kept."""
+        if not self.coverage or coverage > self.coverage[-1]:
             self.metres.append(metres)
             self.steps.append(step)
             self.coverage.append(coverage)
@@ -64,15 +64,8 @@ class CoverageCurve:
         C(d) is the largest coverage that was reached within d metres. After the end of the episode it is constant;
         metres beyond L do not count.
         """
-        return self._mean(self.metres, limit_m)
-
-    def area_under_steps(self, limit: int) -> float:
-        """The same over the first `limit` control steps."""
-        return self._mean(self.steps, float(limit))
-
-    def _mean(self, at: Sequence[float], limit: float) -> float:
-        bounds = np.minimum(np.array([*at, np.inf]), limit)
-        return float(np.sum(np.array(self.coverage) * np.diff(bounds)) / limit)
+        bounds = np.minimum(np.array([*self.metres, np.inf]), limit_m)
+        return float(np.sum(np.array(self.coverage) * np.diff(bounds)) / limit_m)
 
     def at(self, metres: Array) -> Array:
         """C(d) at some distances (n,), which are not before the first point."""
@@ -130,7 +123,6 @@ class StepLog:
 
     pose_cov: Callable[[], Any]
     curve: CoverageCurve = field(default_factory=CoverageCurve)
-    correct: CoverageCurve = field(default_factory=lambda: CoverageCurve(falls=True))
     pose_errors_m: list[float] = field(default_factory=list)
     log_dets: list[float] = field(default_factory=list)
     reward: float = 0.0  # of all steps
@@ -138,7 +130,6 @@ class StepLog:
     def add(self, info: Info) -> None:
         """Record one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
-        self.correct.add(info["metres"], info["period"], info["correct_coverage"])
         self.pose_errors_m.append(info["pose_error_m"])
         self.log_dets.append(log_det(self.pose_cov()))
         self.reward += sum(value for name, value in info.items() if name.startswith("reward_"))
@@ -259,9 +250,7 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
     """The metrics of an episode; a coverage never reached counts as the limit (docs/policies.md)."""
     curve, budget = log.curve, budget_m(summary["free_area_m2"])
     figures = {"auc": curve.area_under(budget), "budget_m": budget}
-    figures["coverage_over_steps"] = curve.area_under_steps(max_steps)
-    figures["correct_over_metres"] = log.correct.area_under(budget)
-    figures["correct_over_steps"] = log.correct.area_under_steps(max_steps)
+    figures |= {name: summary[theirs] for name, theirs in OVER_LIMITS.items()}
     for level in LEVELS:
         figures[f"reached_{level:.0%}"] = float(curve.metres_to(level, np.inf) < NEVER_BUDGETS * budget)
         figures[f"metres_to_{level:.0%}"] = curve.metres_to(level, NEVER_BUDGETS * budget)

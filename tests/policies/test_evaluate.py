@@ -26,6 +26,7 @@ from mecp_env.policies.registry import Mask
 from mecp_env.policies.report import cell, page
 from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
+    OVER_LIMITS,
     CoverageCurve,
     EpisodeEnd,
     EpisodeResult,
@@ -69,9 +70,9 @@ def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> Epis
     """An episode of which only the area under the curve matters."""
     log = StepLog(lambda: np.zeros(6))
     log.curve.add(0.0, 0, auc)
-    log.correct.add(0.0, 0, auc)
     log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
-    end, final = EpisodeEnd(terminated=True, decisions=3, act_s=0.5), FINAL | {"coverage": auc, "correct_coverage": auc}
+    areas = dict.fromkeys(("coverage", "correct_coverage", *OVER_LIMITS.values()), auc)
+    end, final = EpisodeEnd(terminated=True, decisions=3, act_s=0.5), FINAL | areas
     figures = metrics(log, end, final, 100)
     return EpisodeResult(EpisodeTask(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
 

@@ -44,7 +44,6 @@ def test_the_area_under_the_curve_by_hand(curve: CoverageCurve) -> None:
     assert curve.area_under(4.0) == pytest.approx((2 * 0.2 + 2 * 0.5) / 4.0)
     assert curve.area_under(2.0) == pytest.approx(0.2)
     assert curve.area_under(1000.0) == pytest.approx(0.9, abs=0.005)
-    assert curve.area_under_steps(40) == pytest.approx((5 * 0.2 + 15 * 0.5 + 20 * 0.9) / 40)
     assert curve.at(np.array([0.0, 1.99, 2.0, 6.0, 500.0])).tolist() == [0.2, 0.2, 0.5, 0.9, 0.9]
     assert budget_m(150.0) == 75.0
 
@@ -55,14 +54,6 @@ def test_a_level_never_reached_or_beyond_the_limit_counts_as_the_limit(curve: Co
     assert curve.metres_to(0.99, 30.0) == 30.0
     assert curve.steps_to(0.99, 100.0) == 100.0
     assert curve.metres_to(0.9, 5.0) == 5.0
-
-
-def test_a_coverage_that_may_fall_keeps_each_change() -> None:
-    made = CoverageCurve(falls=True)
-    for metres, step, coverage in [(0, 0, 0.2), (1, 3, 0.2), (2, 5, 0.5), (6, 10, 0.1)]:
-        made.add(metres, step, coverage)
-    assert made.steps == [0, 5, 10]
-    assert made.area_under_steps(20) == pytest.approx((5 * 0.2 + 5 * 0.5 + 10 * 0.1) / 20)
 
 
 def test_turning_on_the_spot_costs_no_metres() -> None:
