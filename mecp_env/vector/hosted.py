@@ -32,14 +32,12 @@ from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.vector.worker import (
     OBSERVATION,
     RECORD,
-    Fields,
+    Blocks,
     Flights,
     Makers,
     WorkerEnvironments,
     below,
-    lay_out,
-    memory_bytes,
-    plan_fields,
+    shared_blocks,
 )
 from mecp_env.wrappers import GoalActions
 
@@ -165,16 +163,15 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         if workers is not None:
             check_integer("workers", workers, otherwise=", or None for as many as fit")
         method = start_method(context)
-        fields = self._describe(makers[0]())
+        blocks = self._describe(makers[0](), multiprocessing.get_context(method))
         self._slices = slices(self.num_envs, workers, DRIVES if self.masked else STEPS)
         local = workers is None and (not self.masked or self.num_envs == 1)  # a drive would delay what `recv` returns
-        memory = multiprocessing.get_context(method).RawArray("B", memory_bytes(fields))
-        self._buffers = lay_out(fields, memory)
+        self._buffers = {name: block.view() for name, block in blocks.items()}
         self._seen, self._records = below(self._buffers, OBSERVATION), self._buffers[RECORD]
         self._pending: str | None = None
         if len(self._slices) > local:
             share_functions(method)
-        self._pool = WorkerPool(self._targets(makers, fields, memory), method, local)
+        self._pool = WorkerPool(self._targets(makers, blocks), method, local)
         self._flights = Flights(self._pool, self._slices)
         self._close_pool = weakref.finalize(self, self._pool.close)
         self.closed = False
@@ -234,8 +231,8 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         """The seeds of the environments."""
         return self.get_attr("np_random_seed")
 
-    def _describe(self, env: gymnasium.Env[Any, Any]) -> Fields:
-        """Take spaces and metadata from an environment of the batch's kind; what it needs of the buffers.
+    def _describe(self, env: gymnasium.Env[Any, Any], context: Any) -> Blocks:
+        """Take spaces and metadata from an environment of the batch's kind; the memory for its results.
 
         The environment runs for a step, so that the cache has what every step calls.
         """
@@ -249,14 +246,14 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         choices = _masked_choices(env)
         self.masked = choices > 0
         env.close()
-        return plan_fields(self.num_envs, env.observation_space, info, choices)
+        return shared_blocks(self.num_envs, env.observation_space, info, choices, context)
 
-    def _targets(self, makers: Makers, fields: Fields, memory: Any) -> dict[str, WorkerEnvironments]:
+    def _targets(self, makers: Makers, blocks: Blocks) -> dict[str, WorkerEnvironments]:
         """What each worker holds, by the name of the worker."""
         kinds = self.single_observation_space, self.single_action_space
         return {
             f"worker {number} (environments {own[0]} to {own[-1]})": WorkerEnvironments(
-                own.start, makers[own.start : own.stop], fields, memory, self._mode, kinds
+                own.start, makers[own.start : own.stop], blocks, self._mode, kinds
             )
             for number, own in enumerate(self._slices)
         }

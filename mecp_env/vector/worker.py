@@ -9,8 +9,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
@@ -22,7 +21,6 @@ from numpy.typing import NDArray
 from mecp_env.core import processes
 from mecp_env.core.processes import Failure, WorkerPool
 
-ALIGNMENT = 64  # bytes; a line of the processor's cache
 OBSERVATION, INFO = "observation/", "info/"  # prefixes of the names of fields, and of the numbers in a record
 MASK, RECORD = "mask", "record"
 RESULT = ("reward", "terminated", "truncated", "listed")  # first in a record; `listed`: its info has all keys
@@ -35,31 +33,35 @@ NOTHING: Result = (0.0, False, False)  # of a reset
 ANSWER_S = 0.004  # while there is more to do, what is finished is reported so often; an answer costs 0.1 ms
 
 
-@dataclass(frozen=True, slots=True)
-class Field:
-    """An array of the shared buffers: a row for each environment."""
+class Block(NamedTuple):
+    """An array in shared memory, a row for each environment; every process makes its own view on it."""
 
-    shape: tuple[int, ...]
+    memory: Any
     dtype: np.dtype[Any]
+    shape: tuple[int, ...]
 
-    @property
-    def bytes(self) -> int:
-        return int(np.prod(self.shape)) * self.dtype.itemsize
+    def view(self) -> NDArray[Any]:
+        """The array."""
+        return np.ndarray(self.shape, self.dtype, self.memory)
 
 
-Fields = dict[str, Field]
+Blocks = dict[str, Block]
 SharedBuffers = dict[str, NDArray[Any]]
 
 
-def plan_fields(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks: int) -> Fields:
-    """The fields for `n` environments with an observation space, an `info` as theirs, and masks of so many choices.
+def shared_blocks(n: int, space: spaces.Space[Any], info: Mapping[str, Any], masks: int, context: Any) -> Blocks:
+    """Memory for `n` environments with an observation space, an `info` as theirs, and masks of so many choices.
 
-    Raises `ValueError` for an observation space that is neither a Box nor a Dict of them.
+    `context`: how processes are started. Raises `ValueError` for an observation space that is neither a Box nor a Dict
+    of them.
     """
     rows: dict[str, tuple[tuple[int, ...], np.dtype[Any]]]
     rows = {OBSERVATION + name: (box.shape, np.dtype(box.dtype)) for name, box in boxes(space).items()}
     rows |= {MASK: ((masks,), np.dtype(np.bool_)), RECORD: ((), record_type(info))}
-    return {name: Field((n, *shape), dtype) for name, (shape, dtype) in rows.items()}
+    return {
+        name: Block(context.RawArray("B", max(1, n * int(np.prod(shape)) * dtype.itemsize)), dtype, (n, *shape))
+        for name, (shape, dtype) in rows.items()
+    }
 
 
 def record_type(info: Mapping[str, Any]) -> np.dtype[Any]:
@@ -92,22 +94,6 @@ def numbers(info: Mapping[str, Any]) -> dict[str, NDArray[Any]]:
     return {name: value for name, value in given.items() if value.dtype.kind in "biuf"}
 
 
-def memory_bytes(fields: Fields) -> int:
-    """How much memory the fields need."""
-    return sum(_padded(field) for field in fields.values())
-
-
-def lay_out(fields: Fields, memory: Any) -> SharedBuffers:
-    """The arrays of the fields in a block of memory, the same in every process."""
-    buffers, offset = {}, 0
-    for name, field in fields.items():
-        count = int(np.prod(field.shape))
-        flat = np.frombuffer(memory, field.dtype, count, offset) if count else np.zeros(0, field.dtype)
-        buffers[name] = flat.reshape(field.shape)
-        offset += _padded(field)
-    return buffers
-
-
 def below(buffers: SharedBuffers, prefix: str) -> SharedBuffers:
     """The arrays whose names have the `prefix`, by the rest of their names."""
     return {name.removeprefix(prefix): array for name, array in buffers.items() if name.startswith(prefix)}
@@ -118,10 +104,6 @@ def copied(records: NDArray[Any]) -> NDArray[Any]:
     return records.view(np.uint8).copy().view(records.dtype)
 
 
-def _padded(field: Field) -> int:
-    return -(-field.bytes // ALIGNMENT) * ALIGNMENT
-
-
 class WorkerEnvironments:
     """The environments of one worker and their rows of the shared buffers; it is made before the worker is started."""
 
@@ -130,11 +112,11 @@ class WorkerEnvironments:
     _listed: dict[str, None]  # the keys of an info that a record holds
 
     def __init__(
-        self, first: int, makers: Makers, fields: Fields, memory: Any, mode: AutoresetMode, spaces: tuple[Any, Any]
+        self, first: int, makers: Makers, blocks: Blocks, mode: AutoresetMode, spaces: tuple[Any, Any]
     ) -> None:
         """`first`: number of its first environment; `spaces`: of an observation and of an action, as in the batch."""
         self.env = self.first = first  # `env`: the one at work, for error messages
-        self._makers, self._fields, self._memory, self._mode, self._spaces = makers, fields, memory, mode, spaces
+        self._makers, self._blocks, self._mode, self._spaces = makers, blocks, mode, spaces
         self._envs: list[gymnasium.Env[Any, Any]] = []
         self._masks: list[Callable[[], Any]] = []
         self._over = [False] * len(makers)
@@ -146,7 +128,7 @@ class WorkerEnvironments:
 
     def open(self) -> None:
         """Make the environments. Raises `ValueError` for one with other spaces than the batch has."""
-        self._buffers = lay_out(self._fields, self._memory)
+        self._buffers = {name: block.view() for name, block in self._blocks.items()}
         self._seen = below(self._buffers, OBSERVATION)
         self._listed = dict.fromkeys(info_names(self._buffers[RECORD].dtype))
         for env, maker in enumerate(self._makers, self.first):
