@@ -21,22 +21,21 @@ BEAMS, STEP_M, START_M = 90, 0.2, 0.3  # of the imaginary scan; a wall nearer th
 LANDMARK_XX, LANDMARK_YY, LANDMARK_VALID = 2, 4, 7  # columns of `landmarks`
 
 
-class BreadthFirstPolicy(BreadthFirst):
-    """`BreadthFirst` as a policy: it selects goals, planner and controller of the environment drive there."""
-
-    actions = "goal"
-
-    def reset(self, seed: int = 0) -> None:
-        """Start an episode; nothing here is random."""
-
-
-class Nearest:
-    """Drives to the goal with the shortest path: the standard baseline (Yamauchi 1997)."""
+class Memoryless:
+    """A policy that selects goals; each choice follows from the observation alone."""
 
     actions = "goal"
 
     def reset(self, seed: int = 0) -> None:
         """Start an episode; nothing here is random, and no state is kept."""
+
+
+class BreadthFirstPolicy(Memoryless, BreadthFirst):
+    """`BreadthFirst` as a policy: planner and controller of the environment drive to the goals that it selects."""
+
+
+class Nearest(Memoryless):
+    """Drives to the goal with the shortest path: the standard baseline (Yamauchi 1997)."""
 
     def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
         """Row of the nearest goal, the first of equal ones; 0 when there is none."""
@@ -44,17 +43,21 @@ class Nearest:
         return int(rows[observation["goals"][rows, PATH].argmin()]) if len(rows) else 0
 
 
-class RandomGoal:
-    """Drives to a goal drawn uniformly from those that may be selected: the value of the planner without a policy."""
-
-    actions = "goal"
+class Random:
+    """A policy whose random numbers follow from the seed of the episode."""
 
     def __init__(self) -> None:
-        self.reset(0)
+        self.reset()
 
     def reset(self, seed: int = 0) -> None:
         """Start an episode."""
         self.rng = np.random.default_rng(seed)
+
+
+class RandomGoal(Random):
+    """Drives to a goal drawn uniformly from those that may be selected: the value of the planner without a policy."""
+
+    actions = "goal"
 
     def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
         """Row of a goal; 0 when there is none."""
@@ -62,30 +65,24 @@ class RandomGoal:
         return int(self.rng.choice(rows)) if len(rows) else 0
 
 
-class Standing:
+class Standing(Memoryless):
     """Stands still: what an episode pays for nothing."""
 
     actions = "velocity"
-
-    def reset(self, seed: int = 0) -> None:
-        """Start an episode; nothing here is random."""
 
     def act(self, observation: Any = None, mask: Any = None) -> NDArray[np.float32]:
         """The command (2,) to stand."""
         return np.zeros(2, np.float32)
 
 
-class RandomWalk:
+class RandomWalk(Random):
     """Holds a random command for a random number of steps: usually forward along an arc, sometimes a turn in place."""
 
     actions = "velocity"
 
-    def __init__(self) -> None:
-        self.reset(0)
-
     def reset(self, seed: int = 0) -> None:
         """Start an episode."""
-        self.rng = np.random.default_rng(seed)
+        super().reset(seed)
         self.command = np.zeros(2, np.float32)
         self.left = 0
 
@@ -117,7 +114,7 @@ class Weights:
     caution: float = 1.0  # rate at which a goal away from known landmarks loses value beyond that
 
 
-class NextBestView:
+class NextBestView(Memoryless):
     """Drives to the goal with the most expected new floor per path, area^0.7 / (path + 2 m), one goal ahead.
 
     The value of a goal is that of the best pair that starts with it: the floor of both, for the path to the first and
@@ -126,13 +123,8 @@ class NextBestView:
     role.
     """
 
-    actions = "goal"
-
     def __init__(self, weights: Weights | None = None) -> None:
         self.weights = weights or Weights()
-
-    def reset(self, seed: int = 0) -> None:
-        """Start an episode; nothing here is random, and no state is kept."""
 
     def act(self, observation: dict[str, Any], mask: Mask = None) -> int:
         """Row of the goal to drive to; 0 when there is none."""
