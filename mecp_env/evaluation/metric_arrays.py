@@ -56,49 +56,23 @@ def identify_corners(z: Array, T_world_robot: Array, true: Array, segments: Arra
     Only true corners within `gate` metres and in sight from the pose count.
     """
     seen = to_map(T_world_robot, polar_to_points(z))
-    n, m, kept = seen.shape[0], true.shape[0], 0
-    apart, column_of, identity = np.empty((n, m)), np.empty(m, np.int64), np.full(n, -1)
+    n, m, count = seen.shape[0], true.shape[0], 0
+    apart, row, column = np.empty(n * m), np.empty(n * m, np.int64), np.empty(n * m, np.int64)  # of near pairs
     for j in range(m):
-        near, x, y = False, true[j, 0], true[j, 1]
+        before = count
         for i in range(n):
-            near |= (seen[i, 0] - x) ** 2 + (seen[i, 1] - y) ** 2 < gate * gate
-        if not near or not line_of_sight(segments, T_world_robot[0], T_world_robot[1], true[j : j + 1])[0]:
-            continue
-        for i in range(n):
-            square = (seen[i, 0] - x) ** 2 + (seen[i, 1] - y) ** 2
-            apart[i, kept] = square if square < gate * gate else np.inf
-        column_of[kept] = j
-        kept += 1
-    for i in range(n):
-        pair_row(apart, kept, identity, i)
-    for i in range(n):
-        identity[i] = column_of[identity[i]] if identity[i] >= 0 else -1
+            square = (seen[i, 0] - true[j, 0]) ** 2 + (seen[i, 1] - true[j, 1]) ** 2
+            if square < gate * gate:
+                apart[count], row[count], column[count] = square, i, j
+                count += 1
+        if count > before and not line_of_sight(segments, T_world_robot[0], T_world_robot[1], true[j : j + 1])[0]:
+            count = before
+    identity, taken = np.full(n, -1), np.zeros(m, np.bool_)
+    for k in np.argsort(apart[:count]):
+        if identity[row[k]] < 0 and not taken[column[k]]:
+            identity[row[k]] = column[k]
+            taken[column[k]] = True
     return identity
-
-
-@compiled
-def pair_row(apart: Array, columns: int, identity: Ints, row: int) -> None:
-    """Pair `row` with its nearest free column; a row nearer to that column than its present owner takes it."""
-    while row >= 0:
-        best = np.inf
-        column = -1
-        for j in range(columns):
-            if apart[row, j] < best:
-                best, column = apart[row, j], j
-        if column < 0:
-            return
-        owner = -1
-        for i in range(identity.shape[0]):
-            if identity[i] == column:
-                owner = i
-        if owner >= 0 and apart[owner, column] <= best:
-            apart[row, column] = np.inf
-            continue
-        identity[row] = column
-        if owner >= 0:
-            identity[owner] = -1
-            apart[owner, column] = np.inf
-        row = owner
 
 
 @compiled
