@@ -169,17 +169,16 @@ class TimedVecEnv(VecEnvWrapper):
 
     def __init__(self, venv: VecEnv) -> None:
         super().__init__(venv)
-        self.waited_s, self.periods = 0.0, 0
+        self.waited_s = 0.0
 
     def reset(self) -> VecEnvObs:
         return self.venv.reset()
 
     def step_wait(self) -> VecEnvStepReturn:  # `step_async` only keeps the actions
         start = time.perf_counter()
-        observations, rewards, dones, infos = self.venv.step_wait()
+        step = self.venv.step_wait()
         self.waited_s += time.perf_counter() - start
-        self.periods += sum(info["periods"] for info in infos)
-        return observations, rewards, dones, infos
+        return step
 
 
 def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:

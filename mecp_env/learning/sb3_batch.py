@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from mecp_env.policies.registry import INSTALL
 from mecp_env.vector import BatchEnv, make_batch
+from mecp_env.vector.hosted import call
 
 try:
     import torch
@@ -154,7 +155,7 @@ class SB3Batch(VecEnv):
         """What a method of the environments in `indices`, or of all, returns."""
         if method_name == MASKS:
             return list(self.batch.action_masks(np.array(self._get_indices(indices))))
-        return self._each(partial(_call, name=method_name, args=method_args, kwargs=method_kwargs), indices)
+        return self._each(partial(call, name=method_name, arguments=method_args, keywords=method_kwargs), indices)
 
     def env_is_wrapped(self, wrapper_class: type[gym.Wrapper[Any, Any, Any, Any]], indices: Any = None) -> list[bool]:
         """Whether the environments are wrapped in that class."""
@@ -176,7 +177,3 @@ class SB3Batch(VecEnv):
 def _plain(info: dict[str, Any]) -> dict[str, Any]:
     """`info` with Python's numbers in place of NumPy's."""
     return {name: value.item() if isinstance(value, np.generic) else value for name, value in info.items()}
-
-
-def _call(env: gym.Env[Any, Any], name: str, args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    return env.get_wrapper_attr(name)(*args, **kwargs)

@@ -144,8 +144,8 @@ class RunCallback(BaseCallback):
         self._start_clock()
 
     def _start_clock(self) -> None:
-        self.start_s = time.perf_counter()
-        self.timed.waited_s, self.timed.periods = 0.0, 0
+        self.start_s, self.start_periods = time.perf_counter(), self.state.periods
+        self.timed.waited_s = 0.0
 
     def _on_rollout_start(self) -> None:
         begun, state, options = time.perf_counter(), self.state, self.folder.config.log
@@ -170,7 +170,7 @@ class RunCallback(BaseCallback):
     def _on_rollout_end(self) -> None:
         seconds = time.perf_counter() - self.start_s
         self.state.seconds += seconds
-        rate, waiting = self.timed.periods / seconds, self.timed.waited_s / seconds
+        rate, waiting = (self.state.periods - self.start_periods) / seconds, self.timed.waited_s / seconds
         self._start_clock()
         for name, value in (self.clock() | {"periods_per_s": rate, "waiting_share": waiting}).items():
             self.logger.record(f"time/{name}", value)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, replace
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,28 +24,17 @@ INSTALL = "install the extra `datasets`: pip install 'mecp_env[datasets]'"
 INFOS = ("coverage", "correct_coverage", "pose_error_m", "metres", "period")  # of `info`, kept with each observation
 
 
-@dataclass(slots=True)
-class EpisodeRows:
-    """An episode of T actions: observations and infos have T + 1 rows, all others T."""
-
-    seed: int | None
-    observations: list[Any]
-    infos: list[dict[str, Any]]
-    actions: list[Any] = field(default_factory=list)
-    rewards: list[float] = field(default_factory=list)
-    terminations: list[bool] = field(default_factory=list)
-    truncations: list[bool] = field(default_factory=list)
-
-
 class Recorder(gym.Wrapper[Any, Any, Any, Any]):
     """Keeps the rows of the current episode; with goal actions also the mask of each observation."""
 
-    rows: EpisodeRows
+    rows: Any  # the `EpisodeBuffer` of minari of T actions: observations and infos have T + 1 rows, all others T
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start the rows of a new episode."""
+        from minari.data_collector import EpisodeBuffer
+
         observation, info = super().reset(seed=seed, options=options)
-        self.rows = EpisodeRows(seed, [observation], [self._kept(info)])
+        self.rows = EpisodeBuffer(seed=seed, observations=[observation], actions=[], infos=[self._kept(info)])
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -73,7 +62,7 @@ class Recording:
     observation: str = "flat"
     actions: str = ""  # "velocity": every control step of a policy that selects goals; "": the policy's own
 
-    def episodes(self, first: int, count: int) -> Iterator[EpisodeRows]:
+    def episodes(self, first: int, count: int) -> Iterator[Any]:
         """The rows of episodes in the buildings first, first + 1, ..., which are also their seeds."""
         env, recorder = self.make()
         see = self._view_of_policy(recorder)
@@ -129,9 +118,10 @@ class DatasetWriter:
         if self.path.exists():
             raise ConfigError(f"name: {name}: {self.path} exists; choose another name or version, or delete it")
 
-    def add(self, rows: EpisodeRows) -> None:
+    def add(self, rows: Any) -> None:
         """Append an episode."""
-        episode = buffer_of(rows)
+        parts = {name: stacked(getattr(rows, name)) for name in ("observations", "actions", "infos")}
+        episode = replace(rows, **parts)
         if self.dataset is None:
             self.dataset = self._create(episode)
         else:
@@ -155,14 +145,6 @@ class DatasetWriter:
             )
         env.close()
         return dataset
-
-
-def buffer_of(rows: EpisodeRows) -> Any:
-    """The `EpisodeBuffer` of minari with an array per part."""
-    from minari.data_collector import EpisodeBuffer
-
-    parts = {name: stacked(getattr(rows, name)) for name in ("observations", "actions", "infos")}
-    return EpisodeBuffer(**{part.name: getattr(rows, part.name) for part in fields(rows)} | parts)
 
 
 def stacked(rows: list[Any]) -> Any:

@@ -185,7 +185,7 @@ class HostedEnvs(VectorEnv[Any, Any, Any]):
         """For each environment what its method `name` returns, or its attribute of that name."""
         if name in RESERVED:
             raise ValueError(f"call({name!r}): the batch has a method of that name")
-        return tuple(self.each(_call, [(name, args, kwargs)] * self.num_envs))
+        return tuple(self.each(call, [(name, args, kwargs)] * self.num_envs))
 
     def get_attr(self, name: str) -> tuple[Any, ...]:
         """The attribute of that name of each environment."""
@@ -322,7 +322,8 @@ def _masked_choices(env: gymnasium.Env[Any, Any]) -> int:
     return int(space.n) if isinstance(space, spaces.Discrete) and env.has_wrapper_attr("action_masks") else 0
 
 
-def _call(env: gymnasium.Env[Any, Any], name: str, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
+def call(env: gymnasium.Env[Any, Any], name: str, arguments: tuple[Any, ...], keywords: dict[str, Any]) -> Any:
+    """What the method `name` of an environment returns, or its attribute of that name."""
     found = env.get_wrapper_attr(name)
     return found(*arguments, **keywords) if callable(found) else found
 
