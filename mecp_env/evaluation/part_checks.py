@@ -23,13 +23,15 @@ from mecp_env.slam.custom import check_belief, check_custom_match
 from mecp_env.slam.messages import Belief, Corners, MapView, Match, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter, FilterError
+from mecp_env.world.config import LaserConfig
+from mecp_env.world.laser import Laser
+from mecp_env.world.layout import load_layout
+from mecp_env.world.outline import build_outline
 
 POINTS = np.array([[2.0, 1.0], [3.0, -1.5], [4.0, 2.0], [1.0, -2.0], [5.0, 0.5], [2.5, 3.0]])  # m, map frame
 SIGMA_M, SIGMA_RAD = 0.02, 0.005
 STEP_M, TURN_RAD, STEPS = 0.1, 0.05, 8
 ARC = np.array([STEP_M * math.cos(TURN_RAD / 2), STEP_M * math.sin(TURN_RAD / 2), TURN_RAD])
-WALLS = np.array([[-2.0, -1.5], [3.0, -1.5], [3.0, 0.5], [4.0, 0.5], [4.0, 2.5], [-2.0, 2.5]])  # m, a room, its corners
-BEAMS, MAX_RANGE_M = 720, 20.0
 
 
 def check_filter(make: Callable[[FilterConfig], Filter]) -> None:
@@ -175,31 +177,19 @@ def check_associator(make: Callable[[AssociationConfig], Associator]) -> int:
     """
     config = SlamConfig()
     watched = Watched(make(config.association))
-    pipeline, T = SlamPipeline(config, associator=watched), np.array([0.0, 0.0, 0.0])
-    output = pipeline.start(room_scan(T))
-    for motion, T in drive():
-        output = pipeline.step(motion, room_scan(T))
+    pipeline, scans = SlamPipeline(config, associator=watched), room_scans()
+    motion = Odometry(np.array([[STEP_M, 0.0]]), np.diag([0.003, 0.003])[None] ** 2, bumper=False)
+    output = pipeline.start(next(scans))
+    for scan in scans:
+        output = pipeline.step(motion, scan)
     if not len(output.belief.ids):
         raise MatchError("associate: after a drive in one room, there is no landmark: no corner was left to be new")
     return watched.recognised
 
 
-def drive() -> Iterator[tuple[Odometry, Array]]:
-    """Odometry and true pose of a straight drive."""
-    for step in range(1, 2 * STEPS + 1):
-        cov = np.diag([0.003, 0.003])[None] ** 2
-        yield Odometry(np.array([[STEP_M, 0.0]]), cov, bumper=False), np.array([step * STEP_M, 0.0, 0.0])
-
-
-def room_scan(T_map_robot: Array) -> Scan:
-    """A scan without noise in the room of `WALLS`."""
-    bearings: Array = np.linspace(-math.pi, math.pi, BEAMS + 1)[1:]
-    corners = to_robot(T_map_robot, WALLS)
-    starts, along = corners, np.roll(corners, -1, axis=0) - corners
-    d = np.column_stack((np.cos(bearings), np.sin(bearings)))[:, None]
-    across = d[..., 0] * along[:, 1] - d[..., 1] * along[:, 0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        r = (starts[:, 0] * along[:, 1] - starts[:, 1] * along[:, 0]) / across
-        t = (starts[:, 0] * d[..., 1] - starts[:, 1] * d[..., 0]) / across
-    ranges = np.where((r > 0.0) & (t >= -1e-9) & (t <= 1.0 + 1e-9), r, MAX_RANGE_M).min(axis=1)
-    return Scan(ranges[None], bearings[None], (ranges < MAX_RANGE_M)[None], MAX_RANGE_M)
+def room_scans() -> Iterator[Scan]:
+    """Scans without noise on a straight drive in the west room of the layout `two_rooms`."""
+    outline, rng = build_outline(load_layout("two_rooms")), np.random.default_rng(0)
+    laser = Laser(outline, LaserConfig(preset="ideal", sweeps=1))
+    for step in range(2 * STEPS + 1):
+        yield laser.scan(compose(np.array(outline.starts[0]), np.array([step * STEP_M, 0.0, 0.0])), rng)

@@ -90,18 +90,13 @@ def difference(row: Row, other: Row) -> Figures:
     return {name: estimate(row.values(name) - other.values(name)) for name in COMPARED}
 
 
-def compare(rows: Sequence[Row], reference: str) -> list[Figures]:
-    """Each row as JSON data: its metrics, its difference to the reference, and the cost of uncertainty.
+def compared(row: Row, rows: Sequence[Row], reference: str) -> Figures:
+    """A row as JSON data: its metrics, its difference to the reference, and the cost of uncertainty.
 
     The reference is the row of that policy with the same estimator; the cost of uncertainty, in rows with
     `estimator="truth"`, is that row minus the row of the same policy without the ground-truth pose; the cost of wrong
     correspondences, in rows with `estimator="known"`, likewise.
     """
-    return [with_differences(row, rows, reference) for row in rows]
-
-
-def with_differences(row: Row, rows: Sequence[Row], reference: str) -> Figures:
-    """One row as JSON data."""
     page: Figures = {"policy": row.policy, "estimator": row.estimator, "figures": figures_of(row)}
     first = next((other for other in rows if (other.policy, other.estimator) == (reference, row.estimator)), row)
     if first is not row:
@@ -275,7 +270,7 @@ class Evaluation:
             "buildings": len(rows[0].episodes),
             "interrupted": self.interrupted,
             "failures": sorted(str(failure) for failure in self.failures),
-            "rows": compare(rows, self.reference),
+            "rows": [compared(row, rows, self.reference) for row in rows],
             "seeds": seeds_of(estimated),
             "returns": returns_of(estimated),
             "timing": timing(rows),

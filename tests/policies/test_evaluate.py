@@ -20,7 +20,7 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.evaluate import Evaluate
 from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, KeptResults, Shard
-from mecp_env.policies.evaluation import Evaluation, Row, compare, difference, rows_of
+from mecp_env.policies.evaluation import Evaluation, Row, compared, difference, rows_of
 from mecp_env.policies.explorers import Nearest
 from mecp_env.policies.registry import Mask
 from mecp_env.policies.report import cell, page
@@ -313,7 +313,8 @@ def test_differences_are_paired_by_building() -> None:
 
 def test_each_row_is_compared_with_the_reference_and_with_itself_unsure() -> None:
     episodes = [toy(name, 0, x, e) for name, x, e in [("a", 0.5, "slam"), ("b", 0.6, "slam"), ("b", 0.9, "truth")]]
-    a, b, sure = compare(rows_of(episodes, [("a", "slam"), ("b", "slam"), ("b", "truth")]), "a")
+    rows = rows_of(episodes, [("a", "slam"), ("b", "slam"), ("b", "truth")])
+    a, b, sure = (compared(row, rows, "a") for row in rows)
     assert "against_reference" not in a
     assert b["against_reference"]["auc"]["value"] == pytest.approx(0.1)
     assert "against_reference" not in sure  # the reference was not played with a known pose
