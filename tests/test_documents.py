@@ -63,7 +63,7 @@ def test_the_architecture_has_a_row_for_every_folder() -> None:
 
 def test_the_readme_has_the_commands_that_ci_runs() -> None:
     readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci/run").read_text()
-    for heading in re.findall(r'^run "(.+)"$', ci, re.MULTILINE):
+    for heading in re.findall(r'^(?:beside )?run "(.+?)"', ci, re.MULTILINE):
         below = readme.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
         assert "```sh\n" in below, heading
 
