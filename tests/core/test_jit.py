@@ -263,14 +263,8 @@ try:
 except ZeroDivisionError:
     print(*(function.stats.cache_path for function in (half, third)))
 """
-IN_PYTHON = "from mecp_env.vector.hosted import explore; explore('two_rooms')"
 
 
 def test_functions_of_others_are_left_alone() -> None:
     """Once the package changed the calls, the errors and the cache of every numba function of the process."""
     assert run_python(FOREIGN) == "None None\n"
-
-
-@pytest.mark.slow
-def test_switched_off_an_episode_runs_in_python() -> None:
-    run_python(IN_PYTHON, NUMBA_DISABLE_JIT="1")

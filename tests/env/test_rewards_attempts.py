@@ -20,6 +20,7 @@ from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import episode_of, until_over, world_of
+from tests.env.test_rewards import POTENTIALS
 
 Array = NDArray[np.float64]
 Drive = Iterator[tuple[float, float]]
@@ -213,7 +214,6 @@ def test_to_complete_earlier_earns_more() -> None:
         assert soon.paid() > late.paid()
 
 
-POTENTIALS = ("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality")
 IN_TASK = {
     "layout": "paper",
     "laser": {"sweeps": 1, "max_range_m": 4.0},

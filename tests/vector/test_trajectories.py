@@ -1,4 +1,4 @@
-"""The same trajectories, bit for bit: N single environments, the vector classes of Gymnasium, and the batch."""
+"""The same trajectories, bit for bit: single environments, batches of any number of workers, however started."""
 
 from contextlib import closing
 from functools import cache
@@ -89,37 +89,12 @@ def test_each_environment_goes_as_it_would_alone(kind: str) -> None:
             assert all(row[-1][f"_{key}"][i] for key in single[-1])
 
 
-@pytest.mark.parametrize(
-    ("mode", "kind"),
-    [
-        ("batch", "velocity"),
-        pytest.param("batch", "goals in buildings", marks=pytest.mark.slow),
-        pytest.param("async", "goals in buildings", marks=pytest.mark.slow),
-    ],
-)
-@pytest.mark.parametrize("autoreset", AutoresetMode)
-def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
-    mode: str, kind: str, autoreset: AutoresetMode
-) -> None:
-    name, keywords = KINDS[kind]
-    with closing(make_by(mode, name, N, autoreset, **keywords)) as several:
-        given = take(several, autoreset)
-        assert several.metadata["autoreset_mode"] == autoreset
-    assert any("final_obs" in row[-1] for row in given) == (autoreset == AutoresetMode.SAME_STEP)
-    assert same(given, take_in_one_process(kind, autoreset))
+SLOW_STARTS = [pytest.param(context, 2, marks=pytest.mark.slow) for context in ("forkserver", "spawn")]
 
 
-def test_how_the_environments_are_shared_out_changes_nothing() -> None:
+@pytest.mark.parametrize(("context", "workers"), [("fork", 1), ("fork", 3), *SLOW_STARTS])
+def test_neither_how_processes_are_started_nor_what_each_steps_changes_anything(context: str, workers: int) -> None:
     name, keywords = KINDS["velocity"]
-    for workers in (1, 3):
-        with closing(gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)) as venv:
-            assert len(venv.pids) == workers
-            assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("context", ["forkserver", "spawn"])
-def test_how_processes_are_started_changes_nothing(context: str) -> None:
-    name, keywords = KINDS["velocity"]
-    with closing(gymnasium.make_vec(name, N, workers=2, context=context, **keywords)) as venv:
+    with closing(gymnasium.make_vec(name, N, workers=workers, context=context, **keywords)) as venv:
+        assert len(venv.pids) == workers
         assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
