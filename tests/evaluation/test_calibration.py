@@ -14,10 +14,12 @@ from mecp_env.evaluation.calibration import FIELDS, Calibration, calibrate_log
 from mecp_env.evaluation.log_run import config_for, run_log
 from mecp_env.evaluation.scan_motions import (
     ALONG,
+    NOTHING,
     SIDE,
     TURN,
     Motions,
     Residuals,
+    fitted,
     noise_of,
     residuals,
     slip_as_turn,
@@ -233,6 +235,14 @@ def drawn(side: float = 0.0, outliers: float = 0.0) -> Residuals:
     return Residuals(off, np.zeros((N, 3, 3)), metres, turn, 5.0, False)
 
 
+def test_the_true_values_leave_nothing() -> None:
+    left = residuals(exact(), TRUE, np.zeros(3))
+    np.testing.assert_allclose(left.off, 0.0, atol=1e-12)
+    assert abs(residuals(exact(), NOTHING, np.zeros(3)).off).max() > 0.02
+    described = residuals(exact(), TRUE * [1.0, 1.0, 1.0, 0.0, 0.0], np.array([TRUE[3], 0.0, TRUE[4]]))
+    np.testing.assert_allclose(described.off, 0.0, atol=1e-12)
+
+
 def test_the_covariance_is_that_of_the_registration_in_the_frame_of_the_course() -> None:
     motions, rng = exact(1), np.random.default_rng(2)
     values = np.array([1.0, 1.0, 0.0, 0.5, 0.3])
@@ -243,6 +253,14 @@ def test_the_covariance_is_that_of_the_registration_in_the_frame_of_the_course()
         off.append(residuals(one, values, np.zeros(3), course).off[0])
     expected = residuals(motions, values, np.zeros(3), course).cov[0]
     np.testing.assert_allclose(np.cov(np.transpose(off)), expected, rtol=0.1, atol=6e-7)
+
+
+def test_the_true_values_are_fitted() -> None:
+    found = fitted(exact(), np.zeros(3), NOTHING.copy(), np.arange(5))
+    np.testing.assert_allclose(found.values, TRUE, atol=1e-3)
+    held = fitted(exact(), np.zeros(3), NOTHING.copy(), np.array([1, 3]))
+    np.testing.assert_array_equal(held.values[[0, 2, 4]], NOTHING[[0, 2, 4]])
+    assert np.isinf(held.sigmas[[0, 2, 4]]).all()
 
 
 def test_noise_is_told_apart_by_metres_and_radians() -> None:

@@ -10,6 +10,7 @@ from mecp_env.core.sensors import LaserView
 from mecp_env.evaluation import metric_arrays
 from mecp_env.evaluation.ground_truth import (
     CELL_M,
+    DIRECTIONS,
     NO_OBSTACLES,
     DynamicObstacles,
     GroundTruth,
@@ -78,6 +79,24 @@ def test_with_half_a_view_only_what_is_ahead_is_seen(truth):
     agree = seen[around] == (left > 0.0)
     assert not (seen & ~around).any()
     assert agree[np.abs(left) > CELL_M].all()
+
+
+def test_the_sweep_is_its_plain_twin(truth):
+    pose = np.array([*truth.outline.starts[0][:2], 0.0])
+    seen, expected, ranges = np.zeros_like(truth.free), np.zeros_like(truth.free), np.linspace(0.5, 12.0, 720)
+    x, y = (pose[:2] - truth.corner) / CELL_M
+    for beam in range(1, 721):
+        far = ranges[beam - 1] / CELL_M - 0.1
+        stride = max(2**k for k in range(10) if beam % 2**k == 0)
+        r = metric_arrays.STEP / (2.0 * stride * 2.0 * math.pi / 720)
+        while r < far + metric_arrays.STEP:
+            col, row = np.floor((x, y) + DIRECTIONS[:, beam - 1] * min(r, far)).astype(int)
+            if 0 <= col < expected.shape[1] and 0 <= row < expected.shape[0]:
+                expected[row, col] = truth.free[row, col]
+            r += metric_arrays.STEP
+    assert metric_arrays.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == expected.sum() > 1000
+    assert np.array_equal(seen, expected)
+    assert metric_arrays.sweep(ranges, DIRECTIONS, pose, truth.corner, truth.free, seen) == 0
 
 
 def identities(seen, true, segments, pose, gate):

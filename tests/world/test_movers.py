@@ -243,3 +243,21 @@ def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.Monke
                 assert (gaps(movers, simulation.T_world_robot[:2])[0][~met] > 0.0).all()
                 assert np.array_equal(movers.state.boxes[~pushed], before[~pushed])
     assert left_out > 50
+
+
+def test_what_may_touch_the_robot_or_a_box_that_moves() -> None:
+    pedestrians = np.zeros((4, crowd.PEDESTRIAN))
+    pedestrians[:, crowd.RADIUS], pedestrians[:, crowd.PACE] = 0.25, 1.0
+    pedestrians[:, :2] = [[0.5, 0.0], [0.0, 2.0], [3.0, 1.0], [3.0, 6.0]]  # at the robot, too far, at a box, nowhere
+    boxes, sizes = np.zeros((4, 6)), np.full((4, 2), 0.4)
+    boxes[:, :2] = [[0.7, 0.0], [1.4, 0.0], [5.0, -3.0], [9.0, 0.0]]  # at the robot, behind that box, at rest, sliding
+    boxes[3, 3] = 0.1
+    rounds = np.column_stack([boxes[:, :2], np.full(4, 0.283)])
+    limits = drive.RobotLimits(dt=0.01, max_dv=0.01, max_dw=0.05, stride=0.005, radius=0.22, substeps=4)
+    moving = drive.MovingBodies(pedestrians, boxes, sizes, rounds, np.zeros(crowd.ROBOT), polite=True)
+    met, pushed = drive.may_touch(moving, np.zeros(6), limits, 16)
+    assert met.tolist() == [True, False, False, False]
+    assert pushed.tolist() == [True, True, False, True]
+    pedestrians[2, :2] = 9.0, 0.6
+    met, _ = drive.may_touch(moving, np.zeros(6), limits, 16)
+    assert met.tolist() == [True, False, True, False]
