@@ -147,7 +147,7 @@ def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
 
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+SEEDS = [0, pytest.param(1, marks=pytest.mark.slow)]
 WEIGHTS = RewardConfig(preset="terms")
 PAPER: dict[str, Any] = {"layout": "paper", "laser": {"sweeps": 1}, "start": "random"}
 

@@ -23,11 +23,11 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
 STEPS = 10  # an episode ends, and the next one goes on
 
 
-def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
+def take(venv: Any, autoreset: AutoresetMode) -> list[Any]:
     """All results of a vector environment on a drive; without autoreset, environments are reset by mask."""
     rng = np.random.default_rng(0)
     rows = [venv.reset(seed=11)]
-    for _ in range(steps):
+    for _ in range(STEPS):
         rows.append(venv.step(choose(venv.single_action_space, rows[-1][0], rng)))
         over = rows[-1][2] | rows[-1][3]
         if autoreset == AutoresetMode.DISABLED and over.any():
@@ -36,22 +36,21 @@ def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
 
 
 @cache
-def take_in_one_process(kind: str, autoreset: AutoresetMode) -> list[Any]:
+def take_in_one_process(autoreset: AutoresetMode) -> list[Any]:
     """The drive of `take` by the vector class of Gymnasium that steps in this process."""
-    name, keywords = KINDS[kind]
+    name, keywords = KINDS["velocity"]
     with closing(make_by("sync", name, N, autoreset, **keywords)) as venv:
         return take(venv, autoreset)
 
 
 @cache
-def take_forked(kind: str) -> list[Any]:
+def take_forked() -> list[Any]:
     """The drive of `take` by a batch of two forked workers."""
-    name, keywords = KINDS[kind]
+    name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
         return take(venv, AutoresetMode.NEXT_STEP)
 
 
-@cache
 def take_alone(kind: str) -> list[list[tuple[Any, ...]]]:
     """The drive of `take` with the autoreset NEXT_STEP, by single environments: for each row, what each gave."""
     name, keywords = KINDS[kind]
@@ -97,4 +96,4 @@ def test_neither_how_processes_are_started_nor_what_each_steps_changes_anything(
     name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=workers, context=context, **keywords)) as venv:
         assert len(venv.pids) == workers
-        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
+        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked())
