@@ -21,11 +21,8 @@ def test_runs_are_the_golden_ones(case):
 
 
 @pytest.mark.slow
-def test_processes_and_blas_threads_do_not_change_a_bit():
-    outputs = []
-    for threads in ("1", "2"):
-        environment = os.environ | {"OPENBLAS_NUM_THREADS": threads}
-        command = [sys.executable, "-m", "tests.golden", *OVER_PROCESSES]
-        result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
-        outputs.append(json.loads(result.stdout))
-    assert outputs[0] == outputs[1]
+def test_another_process_with_more_blas_threads_gives_the_same_bits():
+    command = [sys.executable, "-m", "tests.golden", *OVER_PROCESSES]
+    environment = os.environ | {"OPENBLAS_NUM_THREADS": "2"}
+    result = subprocess.run(command, env=environment, capture_output=True, text=True, check=True)
+    assert json.loads(result.stdout) == {probe(): {case: run_hashes(case) for case in OVER_PROCESSES}}

@@ -62,27 +62,3 @@ def test_the_contract_tests_of_ci_exist() -> None:
     files = named[1].split()
     assert "tests/env/test_contract.py" in files
     assert [path for path in files if not (ROOT / path).is_file()] == []
-
-
-def test_every_extra_is_imported_somewhere() -> None:
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    # docs/ imports `docs`, benchmarks `peers` and `lab`, Gymnasium's RecordVideo `video`, publishing/ `publish`
-    assert set(extras) == {
-        "rl",
-        "logs",
-        "datasets",
-        "video",
-        "viewer",
-        "docs",
-        "dev",
-        "peers",
-        "cluster",
-        "lab",
-        "publish",
-    }
-    text = "".join(path.read_text() for path in (ROOT / "mecp_env").rglob("*.py"))
-    modules = {"torch": "torch", "stable-baselines3": "stable_baselines3", "sb3-contrib": "sb3_contrib"}
-    modules |= {"safetensors": "safetensors", "tensorboard": "TensorBoardOutputFormat", "rosbags": "rosbags.highlevel"}
-    modules |= {"minari[hdf5]": "import minari", "rerun-sdk": 'import_module("rerun")'}
-    for requirement in (*extras["rl"], *extras["logs"], *extras["datasets"], *extras["viewer"]):
-        assert modules[requirement.partition(">")[0]] in text

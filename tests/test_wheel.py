@@ -48,12 +48,8 @@ def call(home: Path, *words: str) -> str:
     return done.stdout
 
 
-def test_an_explorer_of_the_package_of_the_wheel(home: Path) -> None:
+def test_a_demo_of_the_package_of_the_wheel_has_its_replay(home: Path) -> None:
     assert call(home, "python", "-c", "import mecp_env; print(mecp_env.__file__)").startswith(str(home))
-    assert "coverage" in call(home, "mecp-env", "explore", "nearest", "--layout", "two_rooms", "--steps", "3")
-
-
-def test_a_replay(home: Path) -> None:
     few = ("--config.max-steps", "5", "--config.laser.sweeps", "1", "--config.laser.beams", "180")
     call(home, "mecp-env", "demo", "--layout", "two_rooms", *few, "--out", "my run")
     assert (home / "my run/replay.html").stat().st_size > 10_000

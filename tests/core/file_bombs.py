@@ -106,8 +106,6 @@ def submissions() -> Iterator[tuple[str, bytes]]:
 LINES = {
     "odometry": b"ODOM 1 1 1 0 0 0 1 h 1\n",
     "short scans": b"FLASER 2 1 1 0 0 0 0 0 0\n",
-    "nothing": b"\n",
-    "damaged": b"FLASER x\n",
     "others": b"a\n",
     "long scans": b"FLASER 20000 " + b"1 " * 20000 + b"0 0 0 0 0 0 1 h 1\n",
 }
@@ -123,8 +121,6 @@ def tables(kind: str) -> Iterator[tuple[str, bytes]]:
     elif kind == "table":
         yield "narrow", b"t,x,y,heading,10,20,30,40,50,60,70,80\n" + b"1,1,1,1,1,1,1,1,1,1,1,1\n" * (SIZE // 24 - 9)
         yield "two readings", b"t,1,2\n" + b",,\n" * (SIZE // 3 - 9)
-        yield "empty", b"t,1,2,3,4,5,6,7,8\n" + b",,,,,,,,\n" * (SIZE // 9 - 9)
-        yield "short", b"t,10,20,30,40,50,60,70,80\n" + b"1,1\n" * (SIZE // 4 - 9)
         yield "beams", b"t,angle,range\n" + b"1,1,1\n" * (SIZE // 6 - 9)
         yield "wide", b"t," + b",".join(b"%d" % k for k in range(20_000)) + (b"\n" + b"," * 20_000) * 240
         yield "names", "\U0001f600,".encode() * (SIZE // 5)

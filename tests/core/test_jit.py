@@ -1,10 +1,8 @@
 """The cache of compiled functions: stale, damaged, full, unwritable, switched off; each in a process of its own."""
 
-import contextlib
 import hashlib
 import os
 import shutil
-import threading
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
@@ -229,26 +227,6 @@ def test_two_processes_at_the_same_time_get_the_same_result(tree: Tree, damaged:
     assert [*values, tree.call()[0]] == [4.0] * 5
 
 
-@pytest.mark.slow
-def test_a_cache_that_is_damaged_all_the_time_costs_time_only(tree: Tree) -> None:
-    tree.call()
-    done = threading.Event()
-
-    def disturb() -> None:
-        for turn in iter(lambda: done.wait(0.001), True):
-            with contextlib.suppress(OSError):  # what is gone in the meantime
-                for path in tree.files():
-                    spoil(path, ("truncated", "gone", "garbage")[turn % 3])
-
-    thread = threading.Thread(target=disturb)
-    thread.start()
-    try:
-        assert [tree.call()[0] for _ in range(5)] == [4.0] * 5
-    finally:
-        done.set()
-        thread.join()
-
-
 FOREIGN = """
 import numba
 settings = lambda: {name: repr(getattr(numba.config, name)) for name in dir(numba.config) if name.isupper()}
@@ -263,14 +241,8 @@ try:
 except ZeroDivisionError:
     print(*(function.stats.cache_path for function in (half, third)))
 """
-IN_PYTHON = "from mecp_env.vector.hosted import explore; explore('two_rooms')"
 
 
 def test_functions_of_others_are_left_alone() -> None:
     """Once the package changed the calls, the errors and the cache of every numba function of the process."""
     assert run_python(FOREIGN) == "None None\n"
-
-
-@pytest.mark.slow
-def test_switched_off_an_episode_runs_in_python() -> None:
-    run_python(IN_PYTHON, NUMBA_DISABLE_JIT="1")

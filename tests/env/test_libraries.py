@@ -2,7 +2,6 @@
 
 import contextlib
 import itertools
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -70,21 +69,6 @@ def test_vector_wrappers_of_gymnasium() -> None:
 
 
 @pytest.mark.parametrize("observation", FORMATS)
-@pytest.mark.parametrize("mode", ["batch", "sync"])
-def test_vector_environments_give_what_single_ones_give(observation: str, mode: str) -> None:
-    options: dict[str, Any] = {"workers": 1} if mode == "batch" else {"vectorization_mode": mode}
-    envs = gymnasium.make_vec(LAYOUT, num_envs=2, observation=observation, **options, **SMALL)
-    single, command = make(observation=observation), np.float32([0.7, 0.2])
-    rows, alone = [envs.reset(seed=4)[0]], [single.reset(seed=5)[0]]
-    for _ in range(5):
-        rows.append(envs.step(np.tile(command, (2, 1)))[0])
-        alone.append(single.step(command)[0])
-    assert envs.single_observation_space == single.observation_space
-    assert all(np.array_equal(row[1], own) for row, own in zip(rows, alone, strict=True))
-    envs.close()
-
-
-@pytest.mark.parametrize("observation", FORMATS)
 def test_ppo_of_stable_baselines3_takes_them_as_they_are(observation: str) -> None:
     sb3 = pytest.importorskip("stable_baselines3")
     vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
@@ -93,14 +77,3 @@ def test_ppo_of_stable_baselines3_takes_them_as_they_are(observation: str) -> No
     assert model.observation_space == make(observation=observation).observation_space
     model.learn(32)
     assert model.predict(make(observation=observation).reset(seed=0)[0])[0].shape == (2,)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("observation", POLICIES)
-def test_maskable_ppo_takes_goals_and_their_mask(observation: str) -> None:
-    contrib = pytest.importorskip("sb3_contrib")
-    env = make(observation=observation, actions="goal", max_steps=30)
-    with warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "You provided an OpenAI Gym environment")
-        model = contrib.MaskablePPO(POLICIES[observation], env, n_steps=16, batch_size=16)
-        model.learn(16)

@@ -20,7 +20,6 @@ from mecp_env.episode.potentials import (
     register_reward,
     t_optimality,
 )
-from mecp_env.slam.output import SlamOutput
 from tests.env.helpers import make
 from tests.env.make import reward_inputs
 from tests.slam.make import belief, grid
@@ -75,23 +74,6 @@ def test_without_landmarks_or_map_nothing_is_expected() -> None:
     assert expected_area(inputs(())) == 0.0
     empty = inputs()
     assert expected_area(empty._replace(grid=replace(empty.grid, label=np.zeros((0, 0), np.uint8)))) == 0.0
-
-
-def test_there_and_back_earns_nothing() -> None:
-    """The term is the change of the potential: uncertainty that grows and shrinks again cancels out."""
-    env = make(layout="two_rooms", reward={"d_optimality": 1.0, "expected_area": 1.0})
-    env.reset(seed=0)
-    before, sums = terms_of(env.unwrapped.slam_output), np.zeros(2)
-    for k in range(20):
-        *_, info = env.step(np.array([0.5 * (-1) ** (k // 5), 0.0], np.float32))
-        sums += info["reward_d_optimality"], info["reward_expected_area"]
-    assert sums.tolist() == pytest.approx(terms_of(env.unwrapped.slam_output) - before)
-    assert info["reward_entropy"] == 0.0  # without a weight it is not measured
-
-
-def terms_of(output: SlamOutput) -> np.ndarray:
-    seen = reward_inputs(output.belief, output.grid)
-    return np.array([d_optimality(seen), expected_area(seen)])
 
 
 def landmarks_seen(inputs: RewardInputs) -> float:

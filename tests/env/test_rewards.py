@@ -40,6 +40,7 @@ CONFIG = RewardConfig(preset="terms")
 CELL_M2 = 0.25
 SURE, LOST = 1e-4, 1.0  # variances of a pose, m^2 and rad^2
 NO_COVS = np.empty((0, 2, 2))
+POTENTIALS = ("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality")
 
 
 def moment(
@@ -104,14 +105,17 @@ def test_the_first_landmark_counts_from_a_metre():
 @pytest.mark.parametrize("seed", range(10))
 def test_no_detour_earns_anything(seed):
     """Growing, shrinking, creating, removing, painting and repainting: back at the start the sums are 0."""
-    rng = np.random.default_rng(seed)
+    rng, config = np.random.default_rng(seed), RewardConfig(preset="terms", **dict.fromkeys(POTENTIALS, 1.0))
     begin = moment(20, 1, pose=SURE, landmarks=(0.01, 0.02))
     detour = []
     for version in range(2, 30):
         landmarks = tuple(10.0 ** rng.uniform(-5, 1, rng.integers(0, 6)))
         detour.append(moment(int(rng.integers(0, 100)), version, pose=10.0 ** rng.uniform(-6, 1), landmarks=landmarks))
     back = moment(20, 99, pose=SURE, landmarks=(0.01, 0.02))
-    assert sums(begin, *detour, back) == pytest.approx(dict.fromkeys(sums(begin, back), 0.0), abs=1e-9)
+    earned = sums(begin, *detour, back, config=config)
+    assert earned == pytest.approx(dict.fromkeys(earned, 0.0), abs=1e-9)
+    away, unweighted = sums(begin, detour[0], config=config), sums(begin, detour[0])
+    assert all(away[name] != 0.0 == unweighted[name] for name in POTENTIALS)
 
 
 def test_the_true_area_counts_where_it_is_asked_for():

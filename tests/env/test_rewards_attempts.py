@@ -20,6 +20,7 @@ from mecp_env.evaluation.ground_truth import CELL_M
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import episode_of, until_over, world_of
+from tests.env.test_rewards import POTENTIALS
 
 Array = NDArray[np.float64]
 Drive = Iterator[tuple[float, float]]
@@ -146,7 +147,7 @@ def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
 
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
-SEEDS = [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))]
+SEEDS = [0, pytest.param(1, marks=pytest.mark.slow)]
 WEIGHTS = RewardConfig(preset="terms")
 PAPER: dict[str, Any] = {"layout": "paper", "laser": {"sweeps": 1}, "start": "random"}
 
@@ -213,7 +214,6 @@ def test_to_complete_earlier_earns_more() -> None:
         assert soon.paid() > late.paid()
 
 
-POTENTIALS = ("expected_area", "entropy", "d_optimality", "a_optimality", "t_optimality")
 IN_TASK = {
     "layout": "paper",
     "laser": {"sweeps": 1, "max_range_m": 4.0},

@@ -15,6 +15,7 @@ from mecp_env.core.errors import MecpError
 from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.slam.map_file import SlamMap
 from tests.env.helpers import drive, episode_of, make, same
+from tests.env.test_movers import BUSY
 
 
 def only_plain(data):
@@ -36,8 +37,9 @@ def test_a_state_is_plain_data_and_shares_no_memory():
     assert same(state, before)
 
 
-def test_a_running_environment_continues_bit_for_bit():
-    env, other = make(laser={"preset": "paper"}).unwrapped, make(laser={"preset": "paper"}).unwrapped
+@pytest.mark.parametrize("keywords", [{"laser": {"preset": "paper"}}, BUSY], ids=["noise", "moving"])
+def test_a_running_environment_continues_bit_for_bit(keywords):
+    env, other = make(**keywords).unwrapped, make(**keywords).unwrapped
     env.reset(seed=4)
     drive(env, 30)
     other.set_state(env.get_state())

@@ -1,13 +1,10 @@
 """The small compiled functions behind the messages, against NumPy: indices, covariance blocks, rows of ids."""
 
-import pickle
-from dataclasses import field, replace
 from itertools import compress
 
 import numpy as np
 import pytest
 
-from mecp_env.core.carriers import carrier
 from mecp_env.core.linalg import downdate
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.landmark_map import are_whole, groups_of, link, without_doubles
@@ -28,25 +25,6 @@ def test_measurements_are_rows_and_blocks():
     assert (z == corners.z[index]).all()
     assert (corners.cov[np.ix_(rows, rows)] == R).all()
     assert (corners.R[3] == corners.cov[6:8, 6:8]).all()
-
-
-def test_a_carrier_is_made_and_copied_as_a_dataclass_is():
-    @carrier
-    class Part:
-        a: int
-        b: list[int] = field(default_factory=list)
-        c: int = field(init=False, default=3)
-
-        def __post_init__(self) -> None:
-            self.b.append(self.a)
-
-    part = Part(1)
-    assert (part.a, part.b, part.c) == (1, [1], 3)
-    assert part.b is not Part(1).b
-    assert replace(part, a=2).a == 2
-    assert pickle.loads(pickle.dumps(make.door(rooms=(0, 1)))).rooms == (0, 1)
-    with pytest.raises(TypeError, match="unexpected keyword"):
-        Part(1, d=2)
 
 
 @pytest.mark.parametrize(("n", "rows"), [(3, 2), (8, 20), (33, 7), (70, 20)])

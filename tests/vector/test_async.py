@@ -60,8 +60,9 @@ def row_of(infos: dict[str, Any], k: int) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("actions", ["velocity", "goal"])
-@pytest.mark.parametrize("mode", [AutoresetMode.NEXT_STEP, AutoresetMode.SAME_STEP])
+@pytest.mark.parametrize(
+    ("actions", "mode"), [("velocity", AutoresetMode.NEXT_STEP), ("goal", AutoresetMode.SAME_STEP)]
+)
 def test_each_environment_goes_the_same_way_whatever_is_served_first(actions: str, mode: AutoresetMode) -> None:
     keywords: dict[str, Any] = {"actions": actions, "max_steps": 30 if actions == "goal" else 5, "autoreset_mode": mode}
     found = []

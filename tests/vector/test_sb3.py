@@ -1,6 +1,5 @@
 """Stable-Baselines3: its own vector classes and the batch as one of them give the same, masks of goals included."""
 
-import warnings
 from typing import Any
 
 import gymnasium
@@ -119,17 +118,3 @@ def test_another_autoreset_mode_and_different_options_are_refused() -> None:
     with pytest.raises(ValueError, match="same options"):
         venv.reset()
     venv.close()
-
-
-@pytest.mark.slow
-def test_maskable_ppo_learns_on_the_batch_as_on_their_own_class() -> None:
-    contrib = pytest.importorskip("sb3_contrib")
-    weights = []
-    for venv in (make_batch(**KINDS["goal"]), make_theirs("dummy", **KINDS["goal"])):
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            model = contrib.MaskablePPO("MultiInputPolicy", venv, n_steps=8, batch_size=12, seed=0, n_epochs=2)
-            model.learn(2 * 8 * N)
-        weights.append([parameter.detach().numpy().copy() for parameter in model.policy.parameters()])
-        venv.close()
-    assert same(*weights)

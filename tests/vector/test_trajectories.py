@@ -1,4 +1,4 @@
-"""The same trajectories, bit for bit: N single environments, the vector classes of Gymnasium, and the batch."""
+"""The same trajectories, bit for bit: single environments, batches of any number of workers, however started."""
 
 from contextlib import closing
 from functools import cache
@@ -23,11 +23,11 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
 STEPS = 10  # an episode ends, and the next one goes on
 
 
-def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
+def take(venv: Any, autoreset: AutoresetMode) -> list[Any]:
     """All results of a vector environment on a drive; without autoreset, environments are reset by mask."""
     rng = np.random.default_rng(0)
     rows = [venv.reset(seed=11)]
-    for _ in range(steps):
+    for _ in range(STEPS):
         rows.append(venv.step(choose(venv.single_action_space, rows[-1][0], rng)))
         over = rows[-1][2] | rows[-1][3]
         if autoreset == AutoresetMode.DISABLED and over.any():
@@ -36,22 +36,21 @@ def take(venv: Any, autoreset: AutoresetMode, steps: int = STEPS) -> list[Any]:
 
 
 @cache
-def take_in_one_process(kind: str, autoreset: AutoresetMode) -> list[Any]:
+def take_in_one_process(autoreset: AutoresetMode) -> list[Any]:
     """The drive of `take` by the vector class of Gymnasium that steps in this process."""
-    name, keywords = KINDS[kind]
+    name, keywords = KINDS["velocity"]
     with closing(make_by("sync", name, N, autoreset, **keywords)) as venv:
         return take(venv, autoreset)
 
 
 @cache
-def take_forked(kind: str) -> list[Any]:
+def take_forked() -> list[Any]:
     """The drive of `take` by a batch of two forked workers."""
-    name, keywords = KINDS[kind]
+    name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
         return take(venv, AutoresetMode.NEXT_STEP)
 
 
-@cache
 def take_alone(kind: str) -> list[list[tuple[Any, ...]]]:
     """The drive of `take` with the autoreset NEXT_STEP, by single environments: for each row, what each gave."""
     name, keywords = KINDS[kind]
@@ -89,37 +88,12 @@ def test_each_environment_goes_as_it_would_alone(kind: str) -> None:
             assert all(row[-1][f"_{key}"][i] for key in single[-1])
 
 
-@pytest.mark.parametrize(
-    ("mode", "kind"),
-    [
-        ("batch", "velocity"),
-        pytest.param("batch", "goals in buildings", marks=pytest.mark.slow),
-        pytest.param("async", "goals in buildings", marks=pytest.mark.slow),
-    ],
-)
-@pytest.mark.parametrize("autoreset", AutoresetMode)
-def test_processes_give_all_that_one_gives_in_every_autoreset_mode(
-    mode: str, kind: str, autoreset: AutoresetMode
-) -> None:
-    name, keywords = KINDS[kind]
-    with closing(make_by(mode, name, N, autoreset, **keywords)) as several:
-        given = take(several, autoreset)
-        assert several.metadata["autoreset_mode"] == autoreset
-    assert any("final_obs" in row[-1] for row in given) == (autoreset == AutoresetMode.SAME_STEP)
-    assert same(given, take_in_one_process(kind, autoreset))
+SLOW_STARTS = [pytest.param(context, 2, marks=pytest.mark.slow) for context in ("forkserver", "spawn")]
 
 
-def test_how_the_environments_are_shared_out_changes_nothing() -> None:
+@pytest.mark.parametrize(("context", "workers"), [("fork", 1), ("fork", 3), *SLOW_STARTS])
+def test_neither_how_processes_are_started_nor_what_each_steps_changes_anything(context: str, workers: int) -> None:
     name, keywords = KINDS["velocity"]
-    for workers in (1, 3):
-        with closing(gymnasium.make_vec(name, N, workers=workers, context="fork", **keywords)) as venv:
-            assert len(venv.pids) == workers
-            assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("context", ["forkserver", "spawn"])
-def test_how_processes_are_started_changes_nothing(context: str) -> None:
-    name, keywords = KINDS["velocity"]
-    with closing(gymnasium.make_vec(name, N, workers=2, context=context, **keywords)) as venv:
-        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked("velocity"))
+    with closing(gymnasium.make_vec(name, N, workers=workers, context=context, **keywords)) as venv:
+        assert len(venv.pids) == workers
+        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked())
