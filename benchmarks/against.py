@@ -19,7 +19,7 @@ from typing import Any
 from benchmarks import peers
 from benchmarks.common import Figures, Options
 from benchmarks.tables import table
-from benchmarks.trees import WORKING_TREE, TreeWorker, checkout
+from benchmarks.trees import WORKING_TREE, TreeWorker, checkout, tree_worker
 from mecp_env.core.intervals import ratio
 
 ACTIONS, SWEEPS = ("random", "breadth_first"), (1, 4)
@@ -54,7 +54,7 @@ def run(options: Options, sizes: Sizes | None = None) -> Figures:
 def compare(trees: dict[str, Path], actions: str, sweeps: int, sizes: Sizes) -> Figures:
     """The figures of one kind of action."""
     with contextlib.ExitStack() as stack:
-        workers = [stack.enter_context(TreeWorker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
+        workers = [stack.enter_context(tree_worker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
         return summarise(list(measure(workers, sizes)))
 
 
