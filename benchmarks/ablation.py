@@ -117,8 +117,7 @@ def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
 def drive_of(cell: str, seed: int, records: Records) -> Drive:
     """The recorded drive of a cell."""
     if cell in noise.CELLS:
-        drive = noise.recorded(noise.source(cell), seed, records)
-        return noise.CHANGED[cell](drive, seed) if cell in noise.CHANGED else drive
+        return noise.drive_of(cell, seed, records)
     fields = {"estimator": "truth", "max_steps": 1500} | (CROWD if cell == "people" else {})
     return records.drive(Course(f"hard:{800 + seed}", seed, fields))
 

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
 from benchmarks import association, loop
 from benchmarks.common import Figures
 from benchmarks.corner_scores import Place, Score, make_places, score_places
-from benchmarks.drives import Drive, replay
+from benchmarks.drives import Drive
 from benchmarks.features import SEED, key_of, threshold
 from benchmarks.polygon_centres import in_the_map, in_the_scan
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.variants import with_change
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.ground_truth import covers
@@ -25,8 +23,8 @@ from mecp_env.slam.messages import Corners, Polygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
-METHODS: dict[str, dict[str, Any]] = {  # some of the benchmark `association`
-    name: association.methods()[name]
+METHODS = {  # some of the benchmark `association`
+    name: association.METHODS[name]
     for name in ("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", association.LETTER)
 }
 VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
@@ -49,18 +47,10 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     if kind == "loop":
         return loop.compare((layout, loop.SCANS, number), records, VARIANTS, SIGMAS)
     drive = records.drive(association.course(layout, number))
-    methods = of_methods(drive)
+    methods = association.counted(drive, METHODS)
     if kind == "ideal":  # only the filter is told of noise
         return {"methods": methods}
     return {"methods": methods, "polygons": of_polygons(drive, np.random.default_rng(number))}
-
-
-def of_methods(drive: Drive) -> dict[str, Figures]:
-    """Counts of each method in closed loop."""
-    return {
-        name: association.counts(drive, replay(drive, with_change(drive.slam, change)))
-        for name, change in METHODS.items()
-    }
 
 
 def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:

@@ -10,21 +10,20 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from benchmarks import association, claim_units
+from benchmarks import association
 from benchmarks.association import LETTER, differences, summarise
 from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure
-from benchmarks.columns import columns_of, means, ratios
-from benchmarks.common import Figures, Gate, Options, in_parallel
+from benchmarks.columns import by_row, columns_of, means, ratios
+from benchmarks.common import Figures, Gate, Options
 from benchmarks.features import key_of
-from benchmarks.loop import figures_of, named
+from benchmarks.loop import figures_of, named, right_share
 from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
-from benchmarks.records import Records
+from benchmarks.records import on_records
 from benchmarks.tables import flatten, readable, table
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.world.layout import shipped_layouts
@@ -35,7 +34,8 @@ POSES = 24  # per layout
 SITES, SETS, GROUPS = (10, 15, 20, 30, 40), 100, 5  # for the exponent of the cost
 DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
 IDEAL = {association.IDEAL: 12}
-ROUGH, ROUGHEST = (named(sigma) for sigma in SIGMAS)
+SIGMA_NAMES = ROUGH, ROUGHEST = tuple(named(sigma) for sigma in SIGMAS)
+PAPER = "mecp_paper"
 
 GATES = (
     Gate("variance/in_a_scan", "error", 1.2),
@@ -92,10 +92,9 @@ def run(options: Options) -> Figures:
         for seed in range(max(count // part, 1))
     ]
     units += [("scans", layout, POSES // part) for layout in shipped_layouts()]
-    results = in_parallel(partial(measure, records=Records(options.records)), dict[str, Any], units, options)
     of: dict[str, list[Any]] = {}
-    for (kind, *_), result in zip(units, results, strict=True):
-        of.setdefault(kind, []).append(result)
+    for (kind, _), results in on_records(measure, dict[str, Any], units, options).items():
+        of.setdefault(kind, []).extend(results)
     rough = of_loops(of["loop"])
     timed = {**rough.pop("timed"), **exponents(SETS // part)}
     return {
@@ -110,19 +109,14 @@ def run(options: Options) -> Figures:
 
 def of_drives(runs: list[dict[str, Figures]]) -> Figures:
     """Closed loop: precision, pairs across a wall, returns."""
-    rows = {name: summarise([run[name] for run in runs]) for name in claim_units.METHODS}
+    rows = {name: summarise(own) for name, own in by_row(runs).items()}
+    alone = {"mecp": "mecp", "rooms_alone": "mecp without descriptor", "descriptor_alone": "mecp without rooms"}
     return {
         "closed_loop": precisions(runs),
-        "across_a_wall": {
-            "mecp": rows["mecp"]["swapped_per_1000"],
-            "rooms_alone": rows["mecp without descriptor"]["swapped_per_1000"],
-            "descriptor_alone": rows["mecp without rooms"]["swapped_per_1000"],
-            "paper": rows["mecp_paper"]["swapped_per_1000"],
-        },
+        "across_a_wall": {key: rows[name]["swapped_per_1000"] for key, name in (alone | {"paper": PAPER}).items()},
         "revisiting": {
-            "closure_recall": rows["mecp"]["closure_recall"],
-            "false_closures": rows["mecp"]["false_closures"],
-            "paper_closure_recall": rows["mecp_paper"]["closure_recall"],
+            **{key: rows["mecp"][key] for key in ("closure_recall", "false_closures")},
+            "paper_closure_recall": rows[PAPER]["closure_recall"],
             "events": rows["mecp"]["events"],
         },
     }
@@ -130,14 +124,11 @@ def of_drives(runs: list[dict[str, Figures]]) -> Figures:
 
 def precisions(runs: list[dict[str, Figures]]) -> Figures:
     """How exact the paper's rule is beside others, on the same drives."""
-    precision = {name: summarise([run[name] for run in runs])["precision"] for name in claim_units.METHODS}
-    pairs = differences([(run["mecp_paper"], run["nearest"]) for run in runs])
+    rows = by_row(runs)
+    names = {"paper": PAPER, "letter": LETTER, "mecp": "mecp", "nearest": "nearest"}
     return {
-        "paper_minus_nearest": pairs["precision_minus_mecp"],
-        "paper_precision": precision["mecp_paper"],
-        "letter_precision": precision[LETTER],
-        "mecp_precision": precision["mecp"],
-        "nearest_precision": precision["nearest"],
+        "paper_minus_nearest": differences(rows[PAPER], rows["nearest"])["precision_minus_mecp"],
+        **{f"{key}_precision": summarise(rows[name])["precision"] for key, name in names.items()},
     }
 
 
@@ -157,21 +148,18 @@ def of_polygons(runs: list[Figures]) -> Figures:
 
 def of_loops(runs: list[dict[str, dict[str, Figures]]]) -> Figures:
     """One scan at a rough pose: what polygons gain, and what methods cost."""
-    names = (VARIANTS[0], VARIANTS[1])
-    right = {
-        (name, s): np.array([run[name][s]["right"] / run[name][s]["scans"] for run in runs])
-        for name in names
-        for s in (ROUGH, ROUGHEST)
-    }
-    ms = {name: np.array([run[name][ROUGH]["ms"] for run in runs]) for name in VARIANTS}
+    cells = {(name, sigma): of for name, own in by_row(runs).items() for sigma, of in by_row(own).items()}
+    with_them, without, *_ = VARIANTS
+    gain = {sigma: right_share(cells[with_them, sigma]) - right_share(cells[without, sigma]) for sigma in SIGMA_NAMES}
+    ms = {name: columns_of(cells[name, ROUGH])["ms"] for name in VARIANTS}
     return {
         "rough_pose": {
-            "polygons_gain": estimate(right[names[0], ROUGH] - right[names[1], ROUGH]),
-            "polygons_gain_roughest": estimate(right[names[0], ROUGHEST] - right[names[1], ROUGHEST]),
-            "right": {name: figures_of([run[name][ROUGH] for run in runs])["right"] for name in VARIANTS},
+            "polygons_gain": estimate(gain[ROUGH]),
+            "polygons_gain_roughest": estimate(gain[ROUGHEST]),
+            "right": {name: figures_of(cells[name, ROUGH])["right"] for name in VARIANTS},
         },
         "timed": {
-            "paper_over_jcbb": ratio(ms["mecp_paper"], ms["jcbb"]),
+            "paper_over_jcbb": ratio(ms[PAPER], ms["jcbb"]),
             "mecp_over_jcbb_with_descriptor": ratio(ms["mecp"], ms["jcbb with descriptor"]),
         },
     }

@@ -16,6 +16,11 @@ def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Array]:
     return {name: np.array([float(row[name]) for row in rows]) for name in rows[0]}
 
 
+def by_row(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
+    """The results of each row in all runs; a row that a run lacks is left out."""
+    return {name: [run[name] for run in runs] for name in runs[0] if all(name in run for run in runs)}
+
+
 def means(columns: Mapping[str, Array], *names: str) -> Figures:
     """Means of some columns, each with its 95 % interval."""
     return {name: estimate(columns[name]) for name in names}

@@ -31,7 +31,7 @@ from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import table, table_of
-from benchmarks.variants import RIVALS, with_change
+from benchmarks.variants import RIVALS, Variant, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, wrap_angle
@@ -86,7 +86,7 @@ def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures
     where, count, seed = task
     layout, _, method = where.partition(" ")
     first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
-    change = {"association": RIVALS[method]} if method else {}
+    change = RIVALS.get(method, Variant()).change
     rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
     size = len(first.scans)
     wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())

@@ -26,7 +26,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import columns_of, means, ratios
+from benchmarks.columns import by_row, columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator, installed
@@ -38,13 +38,14 @@ from benchmarks.variants import (
     DEFAULT,
     KISS,
     ONE_PASS,
+    PAPER_RULE,
     POLYGONS_ALONE,
+    RIVALS,
     WITHOUT_POLYGONS,
     Variant,
+    associating,
     own_rows,
-    rival,
     two_pass_jcbb,
-    with_change,
 )
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
@@ -61,19 +62,19 @@ SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, d
 VARIANTS: dict[str, Variant] = {
     DEFAULT: Variant(),
     "mecp without polygons": WITHOUT_POLYGONS,
-    "mecp without descriptor": Variant({"association": {"use_descriptor": False}}),
-    "mecp without both": Variant({"association": {"use_polygons": False, "use_descriptor": False}}),
+    "mecp without descriptor": associating(use_descriptor=False),
+    "mecp without both": associating(use_polygons=False, use_descriptor=False),
     "mecp without cliques": POLYGONS_ALONE,
     "mecp in one pass": ONE_PASS,
-    "jcbb": rival("jcbb"),
-    "jcbb with descriptor": rival("jcbb with descriptor"),
+    "jcbb": RIVALS["jcbb"],
+    "jcbb with descriptor": RIVALS["jcbb with descriptor"],
     "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
     "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
-    "ccda with descriptor": rival("ccda with descriptor"),
+    "ccda with descriptor": RIVALS["ccda with descriptor"],
     "clipper with descriptor": CLIPPER,
     **(KISS if installed() else {}),
-    "nearest": Variant({"association": {"method": "nearest"}}),
-    "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
+    "nearest": associating(method="nearest"),
+    "mecp_paper": PAPER_RULE,
 }
 SEEDS = {"paper": 20, "hard": 20, "twins": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
@@ -145,7 +146,7 @@ def compare(
 
 def all_variants() -> dict[str, Variant]:
     """The variants, with the associators that modules have registered."""
-    return VARIANTS | {name: Variant(change) for name, change in own_rows().items() if "association" in change}
+    return VARIANTS | {name: row for name, row in own_rows().items() if "association" in row.change}
 
 
 def on_drive(
@@ -158,18 +159,13 @@ def on_drive(
     errors = rng.normal(size=(len(SIGMAS), count, 3))
     return {
         name: {
-            named(sigma): count_scans(finished, associator_of(variant, drive.slam), looks, sigma, errors[k])
+            named(sigma): count_scans(finished, variant.associator(drive.slam), looks, sigma, errors[k])
             for k, sigma in enumerate(SIGMAS)
             if sigma in sigmas
         }
         for name, variant in all_variants().items()
         if name in variants
     }
-
-
-def associator_of(variant: Variant, slam: SlamConfig) -> Associator:
-    """The associator of a variant, for the estimator of a drive."""
-    return variant.make(with_change(slam, variant.change).association)
 
 
 def place(layout: str, seed: int) -> str:
@@ -247,11 +243,8 @@ def judged(finished: Finished, seen: Look, match: Match) -> tuple[int, int]:
 
 def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
     """Results of all drives of a set, with 95 % intervals over drives."""
-    return {
-        name: {sigma: figures_of([drive[name][sigma] for drive in drives]) for sigma in drives[0][name]}
-        for name in drives[0]
-        if all(name in drive for drive in drives)  # the package of a row may not be installed everywhere
-    }
+    rows = by_row(drives)  # the package of a row may not be installed everywhere
+    return {name: {sigma: figures_of(of) for sigma, of in by_row(own).items()} for name, own in rows.items()}
 
 
 def figures_of(drives: list[Figures]) -> Figures:
@@ -264,6 +257,12 @@ def figures_of(drives: list[Figures]) -> Figures:
         **means(counts, "ms"),
         "scans": int(counts["scans"].sum()),
     }
+
+
+def right_share(cells: list[Figures]) -> Array:
+    """(n,) share of right scans of each drive."""
+    columns = columns_of(cells)
+    return columns["right"] / columns["scans"]
 
 
 def report(figures: Figures) -> str:

@@ -28,7 +28,6 @@ from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
 from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import compose, inverse, to_robot
-from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import KINDS, SlamConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import MapPolygon
@@ -88,7 +87,7 @@ def step_ms(drive: Drive, name: str, count: int) -> list[float]:
 def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     """Milliseconds of each decision in a map of so many landmarks."""
     pipeline, first = enlarged(drive, drive.slam, count)
-    associator = make_associator(with_change(drive.slam, associators()[name]).association)
+    associator = associators()[name].associator(drive.slam)
     rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
     for number in range(first, first + SCANS):
         corners, beams, wall = loop.front_end(drive.scans[number], drive.slam)

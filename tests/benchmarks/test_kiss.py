@@ -37,7 +37,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True)
 
 
 def count(drive: Drive, finished: loop.Finished, name: str, seen: loop.Look, errors: np.ndarray) -> Figures:  # noqa: F811
-    associator = loop.associator_of(KISS[name], drive.slam)
+    associator = KISS[name].associator(drive.slam)
     return loop.count_scans(finished, associator, [seen] * len(errors), SIGMA, errors)
 
 
@@ -77,9 +77,9 @@ def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
 ) -> None:
     monkeypatch.setitem(sys.modules, kiss.PACKAGE, None)
     with pytest.raises(OptionError, match=r"pip install -e '.\[lab\]'"):
-        loop.associator_of(KISS[ON_PAIRS], drive.slam)
+        KISS[ON_PAIRS].associator(drive.slam)
     looks = [loop.look(drive, finished, 100)] * len(ERRORS)
-    cell = loop.count_scans(finished, loop.associator_of(loop.VARIANTS["mecp"], drive.slam), looks, SIGMA, ERRORS)
+    cell = loop.count_scans(finished, loop.VARIANTS["mecp"].associator(drive.slam), looks, SIGMA, ERRORS)
     without, with_rows = {"mecp": {"s": cell}}, {name: {"s": cell} for name in ("mecp", *KISS)}
     note = "its rows are missing"
     assert note in loop.report({"paper": loop.summarise([without])})
@@ -90,7 +90,7 @@ def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
 @needs_kiss
 def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: loop.Finished) -> None:  # noqa: F811
     seen, T = loop.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
-    associator = loop.associator_of(KISS[ON_POINTS], drive.slam)
+    associator = KISS[ON_POINTS].associator(drive.slam)
     assert isinstance(associator, kiss.KissPointsAssociator)
     assert seen.beams is not None
     associator.look_at(seen.beams, finished.pipeline.grid.canvas.grid)

@@ -26,7 +26,7 @@ def test_two_passes_are_worth_something_at_a_wide_prior_and_nothing_at_a_sharp_o
     errors = np.random.default_rng(0).normal(size=(len(looks), 3))
 
     def right(variant: str, sigma: tuple[float, float]) -> int:
-        associator = loop.associator_of(loop.VARIANTS[variant], drive.slam)
+        associator = loop.VARIANTS[variant].associator(drive.slam)
         return int(loop.count_scans(finished, associator, looks, sigma, errors)["right"])
 
     assert right("mecp", (0.05, 0.5)) == right("mecp in one pass", (0.05, 0.5))
@@ -35,7 +35,7 @@ def test_two_passes_are_worth_something_at_a_wide_prior_and_nothing_at_a_sharp_o
 
 def test_a_pair_with_another_landmark_is_wrong(drive: Drive, finished: loop.Finished) -> None:
     seen = loop.look(drive, finished, 100)
-    associator = loop.associator_of(loop.VARIANTS["mecp"], drive.slam)
+    associator = loop.VARIANTS["mecp"].associator(drive.slam)
     sigma, exact = (0.05, 0.5), np.zeros((1, 3))
     counts = loop.count_scans(finished, associator, [seen], sigma, exact)
     assert (counts["right"], counts["wrong"]) == (1, 0)
