@@ -19,13 +19,12 @@ from typing import Any, get_args
 import numpy as np
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, in_parallel, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.tables import flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.intervals import estimate
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import peers
-from benchmarks.common import Figures, Options
+from benchmarks.common import Figures, Options, ratio
 from benchmarks.tables import table
 from benchmarks.trees import WORKING_TREE, TreeWorker, checkout, tree_worker
-from mecp_env.core.intervals import ratio
 
 ACTIONS, SWEEPS = ("random", "breadth_first"), (1, 4)
 HERE = "working tree"

@@ -25,29 +25,20 @@ from typing import Any
 import numpy as np
 
 from benchmarks.columns import by_row, columns_of, means, precision_and_recall, ratios
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, load_modules, runs_of, share
 from benchmarks.drives import Drive, Replay
 from benchmarks.loop import HARD, MAX_STEPS, place
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, PAPER_RULE, RIVALS, WITHOUT_POLYGONS, Variant, associating, own_rows, replays
+from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Bools, Ints
-from mecp_env.core.intervals import estimate, share
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.policies.report import cell
-from mecp_env.slam.config import SlamConfig
 
-LETTER = "SlamConfig.paper()"
-METHODS = {
-    DEFAULT: Variant(),
-    "mecp without descriptor": associating(use_descriptor=False),
-    "mecp without polygons": WITHOUT_POLYGONS,
-    "mecp without rooms": associating(use_rooms=False),
-    "mecp_paper": PAPER_RULE,
-    **RIVALS,
-    "nearest": associating(method="nearest"),
-    LETTER: Variant(SlamConfig.paper().model_dump()),
-}
+METHODS = rows_of(
+    *(DEFAULT, "mecp without descriptor", "mecp without polygons", "mecp without rooms", "mecp_paper"),
+    *(*RIVALS, "nearest", LETTER),
+)
 IDEAL = "paper_ideal"
 ASSUMED: dict[str, Any] = {  # the other reading of IV
     "laser": {"preset": "ideal"},

@@ -22,7 +22,7 @@ import numpy as np
 
 from benchmarks.clutter import independent
 from benchmarks.columns import columns_of, ratios
-from benchmarks.common import Figures, Gate, Options, best_of, runs_of
+from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import (
     FIRST_SCAN,
@@ -39,9 +39,8 @@ from benchmarks.loop import (
 )
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table
-from benchmarks.variants import DEFAULT, RIVALS, Variant, associating, with_change
+from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
-from mecp_env.core.intervals import ratio
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
@@ -53,12 +52,7 @@ from mecp_env.slam.protocols import Filter
 CORNERS, SPURIOUS = 20, 4
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
 PLAIN = "mecp without descriptor"
-METHODS = {
-    DEFAULT: Variant(),
-    **{name: RIVALS[name] for name in ("jcbb with descriptor", "ccda with descriptor")},
-    PLAIN: associating(use_descriptor=False),
-    **{name: RIVALS[name] for name in ("jcbb", "ccda")},
-}
+METHODS = rows_of(DEFAULT, "jcbb with descriptor", "ccda with descriptor", PLAIN, "jcbb", "ccda")
 AGAINST = {name: PLAIN if name in (PLAIN, "jcbb", "ccda") else DEFAULT for name in METHODS}
 BUDGET = 1_000_000  # nodes; ten times the default, so that most searches end
 SEEDS = {"paper": 10, "furnished": 6, "hard": 6}  # drives

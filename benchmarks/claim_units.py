@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from benchmarks import association, loop
+from benchmarks import association, loop, variants
 from benchmarks.common import Figures
 from benchmarks.corner_scores import Place, Score, make_places, score_places
 from benchmarks.drives import Drive
@@ -23,10 +23,9 @@ from mecp_env.slam.messages import Corners, Polygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
-METHODS = {  # some of the benchmark `association`
-    name: association.METHODS[name]
-    for name in ("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", association.LETTER)
-}
+METHODS = variants.rows_of(  # some of the benchmark `association`
+    *("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", variants.LETTER)
+)
 VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
 THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")

@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks import association
-from benchmarks.association import LETTER, differences, summarise
+from benchmarks.association import differences, summarise
 from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure
 from benchmarks.columns import by_row, columns_of, means, ratios
-from benchmarks.common import Figures, Gate, Options
+from benchmarks.common import Figures, Gate, Options, estimate, ratio
 from benchmarks.features import key_of
 from benchmarks.loop import figures_of, named, right_share
 from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
 from benchmarks.records import on_records
 from benchmarks.tables import flatten, readable, table
-from mecp_env.core.intervals import estimate, ratio
+from benchmarks.variants import LETTER
 from mecp_env.world.layout import shipped_layouts
 
 DRIVES = {"paper": 12, "furnished": 6}

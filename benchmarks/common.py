@@ -27,14 +27,14 @@ import numpy as np
 
 from benchmarks.tables import flatten, readable, table
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.intervals import Figures, estimate, ratio, share
+from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
 from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies, import_modules
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])
 
-__all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
+__all__ = ["Figures", "correlation", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
 RECORDS = Path("runs/records")  # drives that stay, to be replayed

@@ -26,14 +26,13 @@ from scipy.stats import chi2
 
 from benchmarks import loop
 from benchmarks.batch import FLOOR, Motion, Optimum, Record, Sighting, filtered, in_order, optimum
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
 from benchmarks.plots import DASHES, GREYS
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table_of
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig

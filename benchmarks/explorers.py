@@ -15,10 +15,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.columns import of_visits
-from benchmarks.common import Figures, Gate, Options, grouped, in_parallel
+from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, share
 from benchmarks.tables import sections, turned
 from benchmarks.worlds import COMPLETE_COVERAGE, found_all
-from mecp_env.core.intervals import estimate, share
 from mecp_env.policies.registry import make_policy
 from mecp_env.registration import make
 from mecp_env.wrappers import GoalActions

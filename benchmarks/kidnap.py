@@ -26,14 +26,13 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.columns import columns_of, ratios
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import table, table_of
-from benchmarks.variants import RIVALS, Variant, with_change
+from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import estimate, ratio
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.pipeline import SlamPipeline
@@ -86,7 +85,7 @@ def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures
     where, count, seed = task
     layout, _, method = where.partition(" ")
     first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
-    change = RIVALS.get(method, Variant()).change
+    change = VARIANTS[method or DEFAULT].change
     rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
     size = len(first.scans)
     wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())

@@ -33,20 +33,7 @@ from benchmarks.kiss import KissPointsAssociator, installed
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table
-from benchmarks.variants import (
-    CLIPPER,
-    DEFAULT,
-    KISS,
-    ONE_PASS,
-    PAPER_RULE,
-    POLYGONS_ALONE,
-    RIVALS,
-    WITHOUT_POLYGONS,
-    Variant,
-    associating,
-    own_rows,
-    two_pass_jcbb,
-)
+from benchmarks.variants import DEFAULT, KISS, Variant, own_rows, rows_of
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Scan
@@ -59,23 +46,12 @@ from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
-VARIANTS: dict[str, Variant] = {
-    DEFAULT: Variant(),
-    "mecp without polygons": WITHOUT_POLYGONS,
-    "mecp without descriptor": associating(use_descriptor=False),
-    "mecp without both": associating(use_polygons=False, use_descriptor=False),
-    "mecp without cliques": POLYGONS_ALONE,
-    "mecp in one pass": ONE_PASS,
-    "jcbb": RIVALS["jcbb"],
-    "jcbb with descriptor": RIVALS["jcbb with descriptor"],
-    "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
-    "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
-    "ccda with descriptor": RIVALS["ccda with descriptor"],
-    "clipper with descriptor": CLIPPER,
-    **(KISS if installed() else {}),
-    "nearest": associating(method="nearest"),
-    "mecp_paper": PAPER_RULE,
-}
+VARIANTS = rows_of(
+    *(DEFAULT, "mecp without polygons", "mecp without descriptor", "mecp without both", "mecp without cliques"),
+    *("mecp in one pass", "jcbb", "jcbb with descriptor", "jcbb with descriptor in two passes"),
+    *("jcbb with all of mecp", "ccda with descriptor", "clipper with descriptor", *(KISS if installed() else ())),
+    *("nearest", "mecp_paper"),
+)
 SEEDS = {"paper": 20, "hard": 20, "twins": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
 HARD, FIRST_BUILDING, MAX_STEPS = "hard", 500, 10_000  # the buildings before are those of `worlds`

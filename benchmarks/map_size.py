@@ -20,13 +20,12 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop
 from benchmarks.clutter import cluttered
-from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
 from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
-from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.config import KINDS, SlamConfig
 from mecp_env.slam.mecp import find_structure

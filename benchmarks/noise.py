@@ -28,23 +28,18 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.columns import by_row, columns_of, means, precision_and_recall, ratios
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of, share
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, KNOWN, ONE_PASS, RIVALS, WITHOUT_POLYGONS, Variant, own_rows, replays
-from mecp_env.core.intervals import share
+from benchmarks.variants import DEFAULT, Variant, own_rows, replays, rows_of
 from mecp_env.core.sensors import Odometry, Scan
 
 LAYOUT = "paper"
-VARIANTS: dict[str, Variant] = {
-    DEFAULT: Variant(),
-    "mecp without polygons": WITHOUT_POLYGONS,
-    "mecp in one pass": ONE_PASS,
-    **{name: RIVALS[name] for name in ("jcbb with descriptor", "ccda with descriptor")},
-    "known": KNOWN,
-}
+VARIANTS = rows_of(
+    *(DEFAULT, "mecp without polygons", "mecp in one pass", "jcbb with descriptor", "ccda with descriptor", "known")
+)
 
 
 def narrowed(scan: Scan, degrees: float) -> Scan:

@@ -12,13 +12,12 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks import association
-from benchmarks.association import IDEAL, LETTER, METHODS
+from benchmarks.association import IDEAL
 from benchmarks.columns import by_row, columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, PAPER_RULE, Variant
-from mecp_env.config import merge
+from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
 SEEDS = {"paper": 60, IDEAL: 15}
 SETS, MOST = tuple(SEEDS), 1000
@@ -30,12 +29,11 @@ CHANGES: dict[str, dict[str, Any]] = {  # one choice at a time
     "no polygons": {"method": "nearest_room"},
 }
 ROWS = {
-    DEFAULT: METHODS[DEFAULT],
-    RULE: PAPER_RULE,
-    **{f"{RULE}, {name}": Variant(merge(PAPER_RULE.change, {"association": of})) for name, of in CHANGES.items()},
-    LETTER: METHODS[LETTER],
-    DOBKIN: Variant(merge(METHODS[LETTER].change, {"polygon": {"structure": "dobkin"}})),
-    "nearest": METHODS["nearest"],
+    **rows_of(DEFAULT, RULE),
+    **{f"{RULE}, {name}": changed(RULE, {"association": change}) for name, change in CHANGES.items()},
+    **rows_of(LETTER),
+    DOBKIN: changed(LETTER, {"polygon": {"structure": "dobkin"}}),
+    **rows_of("nearest"),
 }
 COLUMNS = ("precision", "recall", "closure_recall", "false_closures", "duplicates_per_corner", "swapped_per_1000")
 COLUMNS += ("found", "recognised", "rmse_m", "map_rmse_m", "nees", "landmark_nees", "lost")

@@ -29,7 +29,7 @@ from PIL import Image
 
 from benchmarks import noise, worlds
 from benchmarks.columns import of_visits
-from benchmarks.common import Figures, Gate, Options, chosen, shared_data
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, ratio, share, shared_data
 from benchmarks.drives import replay
 from benchmarks.plan_scores import score_rooms
 from benchmarks.real_logs import LOGS, map_log
@@ -39,7 +39,6 @@ from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
-from mecp_env.core.intervals import estimate, ratio, share
 from mecp_env.floorplans import load_plan
 from mecp_env.world.outline import build_outline
 from mecp_env.wrappers import GoalActions

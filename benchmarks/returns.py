@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, Gate, Options, buildings_of, grouped, in_parallel
+from benchmarks.common import Figures, Gate, Options, buildings_of, correlation, estimate, grouped, in_parallel, ratio
 from benchmarks.tables import table
-from mecp_env.core.intervals import correlation, estimate, ratio
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
 from mecp_env.policies.rollout import EpisodeTask, run_episode

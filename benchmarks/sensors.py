@@ -16,12 +16,11 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks.columns import columns_of, means, precision_and_recall
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, runs_of, share
 from benchmarks.drives import replay
 from benchmarks.loop import HARD
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import table_of
-from mecp_env.core.intervals import share
 from mecp_env.slam.config import chi2_of_point
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950

@@ -21,12 +21,11 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, show_progress
+from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, ratio, show_progress
 from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
 from benchmarks.tables import listed, turned
 from benchmarks.vector import HELD
-from mecp_env.core.intervals import ratio
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16
 SETTING: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 200}

@@ -12,10 +12,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.common import Figures, Gate, Options
+from benchmarks.common import Figures, Gate, Options, estimate
 from benchmarks.tables import table_of
 from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, started
-from mecp_env.core.intervals import estimate
 
 RUNS = 3
 QUICK_RUNS = 1

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks import association, loop
 from benchmarks.columns import by_row, columns_of, means, ratios
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.loop import HARD, named
 from benchmarks.polygon_speed import median_us
@@ -28,7 +28,6 @@ from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import estimate, ratio
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.mecp import find_structure

@@ -17,10 +17,9 @@ from typing import Any
 from matplotlib.figure import Figure
 
 from benchmarks.columns import columns_of, means
-from benchmarks.common import Figures, Gate, OptionError, Options, buildings_of, grouped, in_parallel
+from benchmarks.common import Figures, Gate, OptionError, Options, buildings_of, estimate, grouped, in_parallel, share
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.tables import sections, table
-from mecp_env.core.intervals import estimate, share
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from benchmarks.clipper import ClipperAssociator
@@ -113,18 +113,8 @@ def _replayed(drive: Drive, name: str, variant: Variant, estimator: Callable[...
         raise type(error)(f"{name}: {error}") from error
 
 
-DEFAULT = "mecp"
-WITHOUT_POLYGONS = associating(use_polygons=False)
-KNOWN = Variant({"association": {"method": "known"}, "tracks": {"merge": False}})
-PAPER_RULE = associating(**SlamConfig.paper().association.model_dump())
-ONE_PASS = Variant(make=OnePassAssociator)
-POLYGONS_ALONE = Variant(make=PolygonAssociator)
-CLIPPER = Variant({"association": {"use_rooms": False}}, ClipperAssociator)
-KISS = {  # where the package is installed
-    "kiss-matcher with descriptor": Variant(CLIPPER.change, KissAssociator),
-    "kiss-matcher on points": Variant(CLIPPER.change, KissPointsAssociator),
-}
-
+DEFAULT, LETTER = "mecp", "SlamConfig.paper()"
+WITHOUT_ROOMS = {"association": {"use_rooms": False}}
 RIVALS = {  # none uses polygons
     "jcbb": associating(method="jcbb", use_rooms=False, use_descriptor=False),
     "jcbb with descriptor": associating(method="jcbb", use_rooms=False),
@@ -135,6 +125,42 @@ RIVALS = {  # none uses polygons
     "nearest_room": associating(method="nearest_room"),
     "nearest_descriptor": associating(method="nearest_descriptor"),
 }
+KISS = {  # where the package is installed
+    "kiss-matcher with descriptor": Variant(WITHOUT_ROOMS, KissAssociator),
+    "kiss-matcher on points": Variant(WITHOUT_ROOMS, KissPointsAssociator),
+}
+VARIANTS = {
+    DEFAULT: Variant(),
+    "mecp without descriptor": associating(use_descriptor=False),
+    "mecp without polygons": associating(use_polygons=False),
+    "mecp without rooms": Variant(WITHOUT_ROOMS),
+    "mecp without both": associating(use_polygons=False, use_descriptor=False),  # polygons and descriptor
+    "mecp without cliques": Variant(make=PolygonAssociator),
+    "mecp in one pass": Variant(make=OnePassAssociator),
+    "mecp_paper": associating(**SlamConfig.paper().association.model_dump()),
+    "jcbb with descriptor in two passes": Variant(
+        {"association": {"use_polygons": False, "use_rooms": False}}, TwoPassJcbbAssociator
+    ),
+    "jcbb with all of mecp": Variant(
+        {"association": {"use_polygons": True, "use_rooms": False}}, TwoPassJcbbAssociator
+    ),
+    "clipper with descriptor": Variant(WITHOUT_ROOMS, ClipperAssociator),
+    **KISS,
+    **RIVALS,
+    "nearest": associating(method="nearest"),
+    "known": Variant({"association": {"method": "known"}, "tracks": {"merge": False}}),
+    LETTER: Variant(SlamConfig.paper().model_dump()),
+}
+
+
+def changed(name: str, change: dict[str, Any]) -> Variant:
+    """A variant with other fields, too."""
+    return replace(VARIANTS[name], change=merge(VARIANTS[name].change, change))
+
+
+def rows_of(*names: str) -> dict[str, Variant]:
+    """Some of the variants."""
+    return {name: VARIANTS[name] for name in names}
 
 
 def own_rows() -> dict[str, Variant]:
@@ -147,11 +173,6 @@ def associators() -> dict[str, Variant]:
     """One row or several for each associator that is registered now."""
     names = (*METHODS.ours, *METHODS.others)
     rows = {name: associating(method=name) for name in names}
-    rows |= {"mecp_paper": PAPER_RULE, "known": KNOWN, **RIVALS}
+    rows |= rows_of("mecp_paper", "known", *RIVALS)
     method = {name: row.change["association"]["method"] for name, row in rows.items()}
     return {name: rows[name] for known in names for name in rows if method[name] == known}
-
-
-def two_pass_jcbb(use_polygons: bool) -> Variant:
-    """JCBB with descriptor in the two passes of `mecp`, with its polygons or without."""
-    return Variant({"association": {"use_polygons": use_polygons, "use_rooms": False}}, TwoPassJcbbAssociator)

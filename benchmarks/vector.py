@@ -25,10 +25,9 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, in_turns
+from benchmarks.common import Figures, Gate, Options, estimate, in_turns
 from benchmarks.process_use import memory_mb, processor_s
 from benchmarks.tables import sections, whole_rows
-from mecp_env.core.intervals import estimate
 from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
 
