@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,8 +15,7 @@ LEAST_M2 = 2.0  # smaller labelled rooms need not be found
 MATCH = 0.5  # IoU above which an imported room is a labelled one; no room can then match two
 
 
-@dataclass(frozen=True, slots=True)
-class RoomScore:
+class RoomScore(NamedTuple):
     """How many labelled rooms of at least `LEAST_M2` there are and how many are found; rooms that match no label."""
 
     labelled: int

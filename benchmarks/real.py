@@ -18,7 +18,7 @@ that knows it. `urg04lx`: explorations with that laser.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -28,13 +28,13 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from benchmarks import noise, worlds
-from benchmarks.columns import of_visits
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, ratio, share, shared_data
+from benchmarks.columns import columns_of, means, of_visits, ratios
+from benchmarks.common import Figures, Gate, Options, chosen, share, shared_data
 from benchmarks.drives import replay
 from benchmarks.plan_scores import score_rooms
 from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
-from benchmarks.real_maps import MapData, small_multiples
+from benchmarks.real_maps import MapData, caption, short, small_multiples
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import with_change
@@ -83,7 +83,10 @@ def run(options: Options) -> Figures:
     results: dict[str, dict[str, list[Figures]]] = {}
     for (name, what), of_one in on_records(measure, dict[str, Any], tasks, options).items():
         results.setdefault(name, {})[what] = of_one
-    figures = {name: SUMMARIES[name](of_set) for name, of_set in results.items()}
+    figures = {
+        name: SUMMARIES[name](parts if name in (PLANS, EXPLORED) else next(iter(parts.values())))
+        for name, parts in results.items()
+    }
     return figures | ({"skipped": skipped} if skipped else {})
 
 
@@ -132,8 +135,7 @@ def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
 def score(path: Path) -> Figures:
     """Rooms of a labelled plan."""
     labels = np.asarray(Image.open(path.with_suffix(".rooms.png")), np.int32)
-    found = score_rooms(load_plan(path), labels, PIXEL_M)
-    return {"labelled": found.labelled, "found": found.found, "imported": found.imported, "false": found.false}
+    return score_rooms(load_plan(path), labels, PIXEL_M)._asdict()
 
 
 def explore(plan: str, start: int) -> Figures:
@@ -187,9 +189,9 @@ def look_ahead(seed: int, records: Records = IN_MEMORY) -> Figures:
 def summarise_plans(results: Mapping[str, list[Figures]]) -> Figures:
     """Rooms of each plan, and of all together with the interval over plans."""
     each = {plan: scores[0] for plan, scores in results.items()}
-    of = {name: [scores[name] for scores in each.values()] for name in next(iter(each.values()))}
-    both = {"found": ratio(of["found"], of["labelled"]), "false": ratio(of["false"], of["imported"])}
-    return {"all": both | {name: sum(of[name]) for name in ("labelled", "imported")}, **each}
+    of = columns_of(list(each.values()))
+    both = ratios(of, found="found/labelled", false="false/imported")
+    return {"all": both | {name: int(of[name].sum()) for name in ("labelled", "imported")}, **each}
 
 
 def summarise_explored(results: Mapping[str, list[Figures]]) -> Figures:
@@ -207,32 +209,26 @@ def summarise_visits(visits: list[Figures]) -> Figures:
     return figures | {"pose_rmse_worst_m": worst, "free_area_m2": area}
 
 
-def only(results: Mapping[str, list[Figures]]) -> list[Figures]:
-    """The results of a set without parts."""
-    return next(iter(results.values()))
-
-
-def summarise_view(results: Mapping[str, list[Figures]]) -> Figures:
+def summarise_view(drives: list[Figures]) -> Figures:
     """As in `noise`, with the share of scans that have a polygon."""
-    return noise.summarise(only(results)) | {"polygon_share": estimate([d["polygon_share"] for d in only(results)])}
+    return noise.summarise(drives) | means(columns_of(drives), "polygon_share")
 
 
-SUMMARIES: dict[str, Any] = {
+SUMMARIES: dict[str, Any] = {  # of the results by plan, or of those of a set without parts
     PLANS: summarise_plans,
     EXPLORED: summarise_explored,
-    **dict.fromkeys(LOGS, lambda results: summarise_log(only(results))),
+    **dict.fromkeys(LOGS, summarise_log),
     VIEW: summarise_view,
-    **dict.fromkeys(URG, lambda results: summarise_visits(only(results))),
+    **dict.fromkeys(URG, summarise_visits),
 }
 
 
 def report(figures: Figures) -> str:
     """A table for the plans, the explorations, the logs and the lasers."""
     skipped = [f"{name}, {why}" for name, why in figures.get("skipped", {}).items()]
-    logs = {name: figures[name] for name in LOGS if name in figures}
-    lasers = {name: figures[name] for name in URG if name in figures}
-    tables = {"Explorations": figures.get(EXPLORED, {}), "Logs": logs, "URG-04LX, breadth first": lasers}
-    tables["View of 180 degrees on paper"] = {name: figures[name] for name in (VIEW,) if name in figures}
+    sets = {"Logs": LOGS, "URG-04LX, breadth first": URG, "View of 180 degrees on paper": (VIEW,)}
+    tables = {title: {name: figures[name] for name in names if name in figures} for title, names in sets.items()}
+    tables = {"Explorations": figures.get(EXPLORED, {}), **tables}
     parts = {title: turned(of, [short(name) for name in of]) for title, of in tables.items() if of}
     if PLANS in figures:
         rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
@@ -240,35 +236,9 @@ def report(figures: Figures) -> str:
     return "\n\n".join([*(f"Skipped: {text}." for text in skipped), sections(parts)])
 
 
-def short(name: str) -> str:
-    """A name that fits in a column."""
-    return name if len(name) <= 20 else f"{name[:8]}..."
-
-
 def figure(figures: Figures) -> Figure:
     """The map of each log, and of the first start in each plan."""
-    names: Iterable[str] = [*(name for name in LOGS if name in figures), *figures.get(EXPLORED, {})]
+    names = [name for name in (*LOGS, *figures.get(EXPLORED, {})) if name in figures or name not in LOGS]
     return small_multiples(
         {caption(figures, name): MapData.load(MAPS / f"{name}.npz") for name in names if name != KTH}
     )
-
-
-def caption(figures: Figures, name: str) -> str:
-    """What is said above a map."""
-    if name not in LOGS:
-        of = figures[EXPLORED][name]
-        return f"{short(name)}: {of['free_area_m2']:,.0f} m2, pose RMSE {100.0 * of['pose_rmse_m']['value']:.1f} cm"
-    said = [f"{text} {mean(figures[name][key]):.2f} m" for key, text in SAID.items() if key in figures[name]]
-    return f"{name}, {mean(figures[name]['log_share']):.0%} of the log: {', '.join(said)}"
-
-
-SAID = {
-    "final_relations_m": "final relations",
-    "final_ate_m": "final trajectory error",
-    "dead_reckoning_ate_m": "dead reckoning",
-}
-
-
-def mean(figure: Any) -> float:
-    """An estimate or a number as a number."""
-    return float(figure["value"] if isinstance(figure, dict) else figure)

@@ -80,7 +80,6 @@ class Visit:
     final: dict[str, float]
     terminated: bool
     steps_per_s: float
-    saturated: int  # clipped values and omitted rows of the last observation
 
     @property
     def seen(self) -> bool:
@@ -152,7 +151,7 @@ def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -
     for info, terminated in exploration(env, seed):  # noqa: B007
         pass
     speed = info["period"] / (time.thread_time() - begun)
-    return Visit(env.get_wrapper_attr("summary")(), terminated, speed, info["saturated"]), env
+    return Visit(env.get_wrapper_attr("summary")(), terminated, speed), env
 
 
 def added(setting: str) -> dict[str, Any]:
@@ -183,20 +182,14 @@ def flags(setting: str) -> str:
 
 def summarise(visits: list[Visit]) -> Figures:
     """Results of one preset, each with its 95 % interval."""
-    return (
-        outcomes(visits)
-        | of_visits([visit.final for visit in visits], TOTALS)
-        | {
-            "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
-            "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
-        }
-    )
-
-
-def outcomes(visits: list[Visit]) -> Figures:
-    """Shares of the outcomes of the episodes."""
     ends = {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
-    return {"seen": share(visit.seen for visit in visits)} | ends
+    return {
+        "seen": share(visit.seen for visit in visits),
+        **ends,
+        **of_visits([visit.final for visit in visits], TOTALS),
+        "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
+        "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
+    }
 
 
 def report(figures: Figures) -> str:
