@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -133,20 +134,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     for fault in wrong_options(given, module):
         parser().error(fault)
     folder = UNITS / given.name
-    return Options(
-        jobs=given.jobs,
-        quick=given.quick,
-        sets=tuple(given.sets),
-        modules=tuple(given.modules),
-        against=given.against,
-        shard=given.shard,
-        folder=folder.absolute(),
-        records=(given.records or (RECORDS if given.name == RECORD else folder / "records")).absolute(),
-        cluster=given.cluster,
-        task=given.task,
-        policies=tuple(given.policies),
-        buildings=given.buildings,
-    )
+    records = given.records or (RECORDS if given.name == RECORD else folder / "records")
+    shared = {field.name: getattr(given, field.name) for field in fields(Options) if hasattr(given, field.name)}
+    return Options(**shared | {"folder": folder.absolute(), "records": records.absolute()})
 
 
 def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:

@@ -47,15 +47,15 @@ class Options:
 
     jobs: int = 1  # parallel processes
     quick: bool = False  # a small sample with rough results
-    sets: tuple[str, ...] = ()  # a subset, for benchmarks with sets
-    modules: tuple[str, ...] = ()  # that register custom associators or filters
+    sets: Sequence[str] = ()  # a subset, for benchmarks with sets
+    modules: Sequence[str] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
     records: Path | None = None  # folder of the drives that are replayed; None: they are driven again each time
     cluster: str = ""  # the address of a Ray cluster that the units run on
     task: str = ""  # of active SLAM
-    policies: tuple[str, ...] = ()
+    policies: Sequence[str] = ()
     buildings: int = 0  # at each point; 0: as many as the benchmark has by itself
 
 
