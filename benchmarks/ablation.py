@@ -22,6 +22,7 @@ from benchmarks import loop, noise
 from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.rough_pose import count_scans, drawn_looks, finish
 from benchmarks.tables import flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
@@ -125,11 +126,10 @@ def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:
     """Scans of a drive against the map that the variant makes of it, at 2 m and 20 degrees."""
     drive = records.drive(loop.course(ROUGH_SETS[seed % len(ROUGH_SETS)], seed))
     drive = replace(drive, slam=with_change(drive.slam, change))
-    finished, rng = loop.finish(drive), np.random.default_rng(seed)
-    steps = rng.choice(np.arange(loop.FIRST_SCAN, len(drive.scans)), loop.SCANS, replace=False)
-    looks = [loop.look(drive, finished, int(step)) for step in steps]
+    finished, rng = finish(drive), np.random.default_rng(seed)
+    looks = drawn_looks(drive, finished, loop.SCANS, rng)
     associator = make_associator(drive.slam.association)
-    counted = loop.count_scans(finished, associator, looks, loop.SIGMAS[-1], rng.normal(size=(loop.SCANS, 3)))
+    counted = count_scans(finished, associator, looks, loop.SIGMAS[-1], rng.normal(size=(loop.SCANS, 3)))
     return {"right": counted["right"] / counted["scans"], "wrong_pairs": float(counted["wrong"])}
 
 

@@ -24,11 +24,11 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks import loop
 from benchmarks.columns import by_row, columns_of, means, precision_and_recall, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, load_modules, runs_of, share
 from benchmarks.drives import Drive, Replay
-from benchmarks.loop import HARD, MAX_STEPS, place
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
 from benchmarks.tables import sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Bools, Ints
@@ -91,7 +91,9 @@ def course(layout: str, seed: int) -> Course:
     """What is driven."""
     if layout == IDEAL:
         return Course("paper", seed, ASSUMED)
-    return Course(place(layout, seed), seed, {"max_steps": MAX_STEPS} if layout == HARD else {})
+    return Course(
+        place(layout, loop.FIRST_BUILDING + seed), seed, {"max_steps": loop.MAX_STEPS} if layout == HARD else {}
+    )
 
 
 def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:

@@ -24,12 +24,13 @@ from benchmarks.clutter import independent
 from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
-from benchmarks.loop import (
+from benchmarks.loop import course
+from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.rough_pose import (
     FIRST_SCAN,
     RIGHT_PAIRS,
     Finished,
     Look,
-    course,
     finish,
     front_end,
     judged,
@@ -37,7 +38,6 @@ from benchmarks.loop import (
     named,
     rough_view,
 )
-from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table
 from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints

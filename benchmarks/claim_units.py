@@ -141,3 +141,9 @@ def scores(places: Sequence[Place], preset: tuple[str, int], name: str) -> list[
 def counts(score: Score) -> list[int]:
     """Right corners, corners, detectable true ones found, detectable true ones."""
     return [int(score.table[:, 5].sum()), len(score.table), score.found[0], score.visible[0]]
+
+
+def recalls(counts: Sequence[Sequence[int]]) -> Array:
+    """(n,) recall at each pose; nan where no corner is visible."""
+    _, _, found, visible = np.array(counts, float).T
+    return np.where(visible > 0, found / np.maximum(visible, 1.0), np.nan)

@@ -17,13 +17,13 @@ import numpy as np
 
 from benchmarks import association
 from benchmarks.association import differences, summarise
-from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure
+from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure, recalls
 from benchmarks.columns import by_row, columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, ratio
 from benchmarks.features import key_of
-from benchmarks.loop import figures_of, named, right_share
-from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
+from benchmarks.polygon_speed import exponents
 from benchmarks.records import on_records
+from benchmarks.rough_pose import figures_of, named, right_share
 from benchmarks.tables import flatten, readable, table
 from benchmarks.variants import LETTER
 from mecp_env.world.layout import shipped_layouts
@@ -31,7 +31,7 @@ from mecp_env.world.layout import shipped_layouts
 DRIVES = {"paper": 12, "furnished": 6}
 LOOPS = {"paper": 6, "hard": 4}
 POSES = 24  # per layout
-SITES, SETS, GROUPS = (10, 15, 20, 30, 40), 100, 5  # for the exponent of the cost
+SITES, SETS = (10, 15, 20, 30, 40), 100  # for the exponent of the cost
 DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
 IDEAL = {association.IDEAL: 12}
 SIGMA_NAMES = ROUGH, ROUGHEST = tuple(named(sigma) for sigma in SIGMAS)
@@ -54,9 +54,14 @@ class Claim:
     sentence: str
     experiment: str
     figure: str  # keys joined by "/"
-    above: bool  # the bound is the least, not the most
-    bound: float
-    beside: tuple[str, ...] = ()  # other figures that belong to it
+    at_least: float | None = None  # one of both bounds
+    at_most: float | None = None
+    beside: Sequence[str] = ()  # other figures that belong to it
+
+    @property
+    def bound(self) -> str:
+        """The bound in signs."""
+        return f">= {self.at_least:g}" if self.at_least is not None else f"<= {self.at_most:g}"
 
     def holds(self, figures: Figures) -> str:
         """yes, no or open; open also where nothing was measured."""
@@ -64,22 +69,14 @@ class Claim:
         low, high = (found["low"], found["high"]) if isinstance(found, dict) else (found, found)
         if low is None or high is None:
             return "open"
-        sides = (low >= self.bound, high < self.bound) if self.above else (high <= self.bound, low > self.bound)
-        return "yes" if sides[0] else "no" if sides[1] else "open"
+        if self.at_least is not None:
+            right, wrong = low >= self.at_least, high < self.at_least
+        else:
+            right, wrong = high <= self.at_most, low > self.at_most
+        return "yes" if right else "no" if wrong else "open"
 
 
-def read_claims(path: Path) -> tuple[Claim, ...]:
-    """The claims of a file; `at_least` or `at_most` is the bound."""
-    found = []
-    for row in tomllib.loads(path.read_text())["claim"]:
-        texts = (row[name] for name in ("section", "sentence", "experiment", "figure"))
-        above = "at_least" in row
-        bound = row["at_least" if above else "at_most"]
-        found.append(Claim(*texts, above, bound, tuple(row.get("beside", ()))))
-    return tuple(found)
-
-
-CLAIMS = read_claims(Path(__file__).with_suffix(".toml"))
+CLAIMS = [Claim(**row) for row in tomllib.loads(Path(__file__).with_suffix(".toml").read_text())["claim"]]
 
 
 def run(options: Options) -> Figures:
@@ -96,7 +93,7 @@ def run(options: Options) -> Figures:
     for (kind, _), results in on_records(measure, dict[str, Any], units, options).items():
         of.setdefault(kind, []).extend(results)
     rough = of_loops(of["loop"])
-    timed = {**rough.pop("timed"), **exponents(SETS // part)}
+    timed = {**rough.pop("timed"), **exponents(SITES, SETS // part)}
     return {
         **of_drives([r["methods"] for r in of["drive"]]),
         "ideal_laser": precisions([r["methods"] for r in of["ideal"]]),
@@ -194,33 +191,14 @@ def of_clustering(single: dict[str, Any], dense: dict[str, Any]) -> Figures:
     }
 
 
-def recalls(counts: Sequence[Sequence[int]]) -> Any:
-    """(n,) recall at each pose; nan where no corner is visible."""
-    _, _, found, visible = np.array(counts, float).T
-    return np.where(visible > 0, found / np.maximum(visible, 1.0), np.nan)
-
-
-def exponents(sets: int) -> Figures:
-    """Slope of log time over log sites of the polygon search, with the spread over groups of sets of sites."""
-    return {f"exponent_{make.__name__}": estimate(slopes(make, sets)) for make in (uniform, convex)}
-
-
-def slopes(make: Any, sets: int) -> list[float]:
-    """The slope in each group."""
-    items = {n: [by_bearing(points) for points in make(n, sets)] for n in SITES}
-    groups = [[median_us(search, items[n][k::GROUPS]) for n in SITES] for k in range(GROUPS)]
-    return [float(np.polyfit(np.log(SITES), np.log(group), 1)[0]) for group in groups]
-
-
 def report(figures: Figures) -> str:
     """One table of the claims, and one of all figures."""
     flat, rows = flatten(figures), []
     for claim in CLAIMS:
         beside = [f"{name.partition('/')[2]}: {readable(flat.get(name, '-'))}" for name in claim.beside]
-        bound = f"{'>=' if claim.above else '<='} {claim.bound:g}"
         sentence = f'"{claim.sentence}" ({claim.section})'
         found, holds = flat.get(claim.figure, "-"), f"**{claim.holds(figures)}**"
-        rows.append([sentence, claim.experiment, found, bound, holds, "; ".join(beside)])
+        rows.append([sentence, claim.experiment, found, claim.bound, holds, "; ".join(beside)])
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
     every = table(["figure", "value [95 % interval]"], flat.items())
     return f"{table(header, rows)}\n\n## All figures\n\n{every}"

@@ -27,7 +27,7 @@ from benchmarks import loop, noise
 from benchmarks.columns import by_row
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.plots import Panel, draw_bands
-from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.tables import sections, table
 from benchmarks.variants import associators, replays
 from mecp_env.core.carriers import Array, Bools, Ints
@@ -39,7 +39,7 @@ from mecp_env.slam.rooms import RoomGraphEstimator
 
 DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent
 CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 20), (0.8, 30))
-DRIVES = {"paper": 20, loop.HARD: 4}
+DRIVES = {"paper": 20, HARD: 4}
 SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
 CLEAR_M = 0.5
 TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure

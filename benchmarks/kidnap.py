@@ -28,24 +28,25 @@ from matplotlib.figure import Figure
 from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive
+from benchmarks.errors import WRONG_M, calibration_error, off, roc_area
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
 from benchmarks.tables import table, table_of
 from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
-from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.pipeline import SlamPipeline
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
 METHODS = ("", "jcbb with descriptor")  # that of the default estimator, and a rival
-HARD, FIRST_BUILDING, MAX_STEPS = "hard", 600, 10_000
+FIRST_BUILDING, MAX_STEPS = 600, 10_000
 EVENTS, QUICK_EVENTS, QUICK_DRIVES = 10, 3, 2  # events of each kind on a drive
 BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
 READING_M, READING_RAD = 1.0, math.radians(20.0)
-WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
-DOUBTED, BINS = 0.5, 10
+WRONG_RAD = math.radians(10.0)
+DOUBTED = 0.5
 SHOWN = (0, 1, 2, 3, 4, 6, 8, 10, 15, 20, 29)  # scans after an event, in the figure
 KINDS = ("reading", "carried")
 SHARES = ("noticed", "harmless", "relocalised", "right_at_end")
@@ -110,8 +111,7 @@ def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures
 
 def course(layout: str, building: int, seed: int) -> Course:
     """A drive in a building, from a start of its own."""
-    place = f"{HARD}:{FIRST_BUILDING + building}" if layout == HARD else layout
-    return Course(place, seed, {"estimator": "truth", "max_steps": MAX_STEPS})
+    return Course(place(layout, FIRST_BUILDING + building), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
 def misread(drive: Drive, poses: list[Array], step: int, pipeline: SlamPipeline, rng: np.random.Generator) -> Event:
@@ -143,12 +143,6 @@ def outcome(event: Event) -> Figures:
         trace.append([output.confidence, error_m])
     found = {"noticed": noticed or harmless, "harmless": harmless, "relocalised": relocalised, "accepted": accepted}
     return {**found, "right_at_end": output.localised and right, "trace": trace}
-
-
-def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
-    """Distance and turn between two poses (3,)."""
-    x, y, heading = T_map_robot - truth
-    return math.hypot(x, y), abs(wrap_angle(heading))
 
 
 def summarise(drives: list[Figures]) -> Figures:
@@ -192,20 +186,6 @@ def scans_of(drive: Figures) -> Array:
     """(n,2) confidence and position error of all scans of a drive's events and before them."""
     traces = [event["trace"] for kind in KINDS for event in drive[kind]]
     return np.concatenate([np.array(drive["before"]), *map(np.array, traces)])
-
-
-def roc_area(confidence: Array, error_m: Array) -> float:
-    """Probability that a scan with a small error has more confidence than one with a large error; ties count half."""
-    right, wrong = (np.sort(confidence[mask]) for mask in (error_m < WRONG_M, error_m >= WRONG_M))
-    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
-    return float(below.sum() / (2.0 * len(right) * len(wrong))) if len(right) and len(wrong) else math.nan
-
-
-def calibration_error(confidence: Array, error_m: Array) -> float:
-    """Mean difference of mean confidence and share of small errors in ten bins, weighted by their scans."""
-    bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
-    gap = np.bincount(bins, confidence - (error_m < WRONG_M), BINS)
-    return float(np.abs(gap).sum() / len(confidence))
 
 
 def figure(figures: Figures) -> Figure:

@@ -24,6 +24,7 @@ from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_para
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
+from benchmarks.rough_pose import front_end, rough_view
 from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import compose, inverse, to_robot
@@ -89,11 +90,11 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     associator = associators()[name].associator(drive.slam)
     rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
     for number in range(first, first + SCANS):
-        corners, beams, wall = loop.front_end(drive.scans[number], drive.slam)
+        corners, beams, wall = front_end(drive.scans[number], drive.slam)
         corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
         polygons = find_structure(corners, beams, drive.slam.polygon, wall)
         T_map_robot = compose(T_map_world, drive.T_world_robot[number])
-        view, belief = loop.rough_view(pipeline, T_map_robot + rng.normal(size=3) * SIGMAS, SIGMAS, len(corners))
+        view, belief = rough_view(pipeline, T_map_robot + rng.normal(size=3) * SIGMAS, SIGMAS, len(corners))
         ms.append(1e3 * best_of(partial(associator.associate, corners, polygons, view, belief), CALLS))
     return ms
 

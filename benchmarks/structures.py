@@ -22,9 +22,9 @@ from benchmarks import association, loop
 from benchmarks.columns import by_row, columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
 from benchmarks.drives import Drive, replay
-from benchmarks.loop import HARD, named
 from benchmarks.polygon_speed import median_us
-from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.records import HARD, IN_MEMORY, Records, on_records
+from benchmarks.rough_pose import figures_of, front_end, named, right_share
 from benchmarks.tables import sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.carriers import Array
@@ -91,7 +91,7 @@ def closed_loop(drive: Drive) -> Figures:
 def time_us(drive: Drive, slam: SlamConfig) -> float:
     """Microseconds of one call, the median over scans of a drive."""
     scans = drive.scans[:: max(len(drive.scans) // TIMED_SCANS, 1)]
-    fronts = [loop.front_end(scan, slam) for scan in scans]
+    fronts = [front_end(scan, slam) for scan in scans]
     return median_us(lambda seen: find_structure(seen[0], seen[1], slam.polygon, seen[2]), fronts, repeats=5)
 
 
@@ -119,8 +119,8 @@ def of_rough(runs: list[Any], base: list[Any]) -> Figures:
     figures: Figures = {}
     for variant, sigma in product(VARIANTS, map(named, SIGMAS)):
         own, usual = ([run[variant][sigma] for run in some] for some in (runs, base))
-        gained = loop.right_share(own) - loop.right_share(usual)
-        figures[f"{variant}, {sigma}"] = loop.figures_of(own) | {"right_minus_mecp": estimate(gained)}
+        gained = right_share(own) - right_share(usual)
+        figures[f"{variant}, {sigma}"] = figures_of(own) | {"right_minus_mecp": estimate(gained)}
     return figures
 
 

@@ -9,8 +9,8 @@ from benchmarks import clutter
 from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.common import OptionError, Options
 from benchmarks.drives import Drive, replay
-from benchmarks.loop import front_end
 from benchmarks.records import Course
+from benchmarks.rough_pose import front_end
 from benchmarks.variants import associating, associators
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
