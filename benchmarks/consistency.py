@@ -25,15 +25,15 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import chi2
 
 from benchmarks import loop
-from benchmarks.batch import FLOOR, Motion, Optimum, Record, Sighting, filtered, in_order, optimum
+from benchmarks.batch import Optimum, optimum
 from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
-from benchmarks.drives import Drive
 from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
+from benchmarks.known_pairs import Sighting, filtered, in_order, measured
 from benchmarks.plots import DASHES, GREYS
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
 from benchmarks.tables import sections, table_of
 from mecp_env.core.carriers import Array
-from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
@@ -52,8 +52,6 @@ DRIVES = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
 SETS, MOST, QUICK_DRIVES = tuple(MODELS), 1000, 2
 BATCH, BASE, ALL = "batch", "riekf", "riekf, all iterated"
 SUBMAP, MOMENTS = 10, 40  # of a drive, for NEES over time
-OUTLIER_2, OUTLIER_3 = float(chi2.ppf(0.999, 2)), float(chi2.ppf(1.0 - 1e-6, 3))
-SLIP_SIGMAS = np.array([0.5, 0.1, 0.2])  # m, m, rad: what the batch optimum allows for in a step with slip
 
 GATES = (
     Gate("per_metre/riekf/nees", "bound", 4.5),
@@ -118,45 +116,6 @@ class Correction:
         iterate = self.always or not self.sharp(found.belief())
         self.guard.update(found, sighting.z, sighting.R, sighting.ids, iterate)
         self.guard.travelled = self.guard.turned = 0.0
-
-
-def measured(drive: Drive, slips: bool = False) -> tuple[Record, Array, Array]:
-    """The record of a drive, its true path (n,3), and the true corners (m,2), in the frame of the first pose."""
-    T_map_world = inverse(drive.T_world_robot[0])
-    corners, config = to_map(T_map_world, drive.truth.outline.corners.p_world), drive.slam.filter
-    motions, sightings, path = list[Motion](), list[Sighting](), list[Array]()
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        if odometry is None and sightings:
-            continue  # at rest
-        T_map_robot = compose(T_map_world, T_world_robot)
-        if odometry is not None:
-            motion = Motion.of_odometry(odometry, config)
-            motions.append(with_slip(motion, compose(inverse(path[-1]), T_map_robot)) if slips else motion)
-        sightings.append(seen(drive, scan, T_world_robot, to_robot(T_map_robot, corners)))
-        path.append(T_map_robot)
-    sigmas = np.array([config.prior_sigma_m, config.prior_sigma_m, config.prior_sigma_rad])
-    return Record(np.zeros(3), np.diag(sigmas**2), motions, sightings), np.array(path), corners
-
-
-def with_slip(motion: Motion, T_true: Array) -> Motion:
-    """The motion; where its covariance denies the true one (3,), that of the batch optimum allows for slip."""
-    error = compose(inverse(motion.T), T_true)
-    if error @ np.linalg.solve(motion.cov + FLOOR * np.eye(3), error) < OUTLIER_3:
-        return motion
-    return Motion(motion.odometry, motion.T, motion.cov + np.diag(SLIP_SIGMAS**2))
-
-
-def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sighting:
-    """The corners of a scan that are true ones, without outliers; `p_robot` (m,2) are all true corners."""
-    corners = loop.front_end(scan, drive.slam)[0]
-    true = drive.truth.identify(corners, T_world_robot)
-    row = np.flatnonzero((true >= 0) & (true < len(p_robot)))
-    x, y = p_robot[true[row]].T
-    errors = corners.z[row] - np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
-    errors[:, 1] = wrapped(errors[:, 1])
-    blocks = np.array([corners.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in row]).reshape(-1, 2, 2)
-    row = row[nees(errors, blocks) < OUTLIER_2]
-    return Sighting(*corners.measurements(row), true[row])
 
 
 def of_filter(beliefs: list[Belief], landmarks: tuple[Array, Array], path: Array, corners: Array) -> Figures:
