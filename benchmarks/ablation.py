@@ -19,11 +19,11 @@ from typing import Any, get_args
 import numpy as np
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
 from benchmarks.rough_pose import count_scans, drawn_looks, finish
-from benchmarks.tables import flatten, table
+from benchmarks.tables import columns_of, flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.association import make_associator
@@ -86,15 +86,14 @@ def run(options: Options) -> Figures:
     units = [(cell, seed, name) for cell, seed in drives for name in names]
     task = partial(measure, records=Records(options.records))
     rows = dict(zip(units, in_parallel(task, Row, units, options), strict=True))
-    figures: Figures = {}
-    for name in names[1:]:
-        figures[name] = {}
-        for cell in dict(drives):
-            pairs = [(rows[c, s, name], rows[c, s, DEFAULT]) for c, s in drives if c == cell]
-            figures[name][cell] = {
-                key: estimate([ours[key] - usual[key] for ours, usual in pairs]) for key in pairs[0][1]
-            }
-    return figures
+    cells = grouped(drives, drives)
+    return {name: {cell: differences(rows, of, name) for cell, of in cells.items()} for name in names[1:]}
+
+
+def differences(rows: dict[tuple[str, int, str], Row], drives: list[tuple[str, int]], name: str) -> Figures:
+    """The mean differences of a variant to the default on some drives."""
+    own, usual = (columns_of([rows[*drive, row] for drive in drives]) for row in (name, DEFAULT))
+    return {key: estimate(own[key] - usual[key]) for key in usual}
 
 
 def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:

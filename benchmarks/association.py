@@ -25,11 +25,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import loop
-from benchmarks.columns import by_row, columns_of, means, precision_and_recall, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, load_modules, runs_of, share
 from benchmarks.drives import Drive, Replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import sections, table_of
+from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.evaluation.metrics import AssociationLog

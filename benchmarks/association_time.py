@@ -21,7 +21,6 @@ from functools import partial
 import numpy as np
 
 from benchmarks.clutter import independent
-from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import course
@@ -38,7 +37,7 @@ from benchmarks.rough_pose import (
     named,
     rough_view,
 )
-from benchmarks.tables import sections, table
+from benchmarks.tables import columns_of, ratios, sections, table
 from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import MatchBuilder, make_associator

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from benchmarks import association, loop, variants
-from benchmarks.common import Figures
+from benchmarks.common import Figures, estimate
 from benchmarks.corner_scores import Place, Score, make_places, score_places
 from benchmarks.drives import Drive
 from benchmarks.features import SEED, key_of, threshold
@@ -147,3 +147,18 @@ def recalls(counts: Sequence[Sequence[int]]) -> Array:
     """(n,) recall at each pose; nan where no corner is visible."""
     _, _, found, visible = np.array(counts, float).T
     return np.where(visible > 0, found / np.maximum(visible, 1.0), np.nan)
+
+
+def of_clustering(single: dict[str, Array], dense: dict[str, Array]) -> Figures:
+    """Recall with one sweep and with four, by threshold; differences at the same poses."""
+    fixed = max((name for name in THRESHOLDS if name.startswith("fixed")), key=lambda n: np.nanmean(single[n]))
+    return {
+        "union_minus_single": estimate(dense["adaptive" + UNION] - single["adaptive"]),
+        "union_with_noise_minus_single": estimate(dense["adaptive_noise" + UNION] - single["adaptive_noise"]),
+        "mean_minus_single": estimate(dense["adaptive_noise"] - single["adaptive_noise"]),
+        "adaptive_minus_fixed": estimate(single["adaptive"] - single[fixed]),
+        "with_noise_minus_fixed": estimate(single["adaptive_noise"] - single[fixed]),
+        "best_fixed": fixed,
+        "recall": {name: estimate(values) for name, values in single.items()},
+        "recall_dense": {name: estimate(values) for name, values in dense.items()},
+    }

@@ -13,18 +13,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from benchmarks import association
 from benchmarks.association import differences, summarise
-from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure, recalls
-from benchmarks.columns import by_row, columns_of, means, ratios
+from benchmarks.claim_units import PRESETS, SIGMAS, VARIANTS, measure, of_clustering, recalls
 from benchmarks.common import Figures, Gate, Options, estimate, ratio
 from benchmarks.features import key_of
 from benchmarks.polygon_speed import exponents
 from benchmarks.records import on_records
 from benchmarks.rough_pose import figures_of, named, right_share
-from benchmarks.tables import flatten, readable, table
+from benchmarks.tables import by_row, columns_of, flatten, means, ratios, readable, table
 from benchmarks.variants import LETTER
 from mecp_env.world.layout import shipped_layouts
 
@@ -173,21 +170,6 @@ def of_scans(layouts: list[dict[str, dict[str, list[list[int]]]]]) -> Figures:
     return {
         "clustering": of_clustering(recall[SINGLE], recall[DENSE]),
         "clustering_ideal": of_clustering(recall[IDEAL_SINGLE], recall[IDEAL_DENSE]),
-    }
-
-
-def of_clustering(single: dict[str, Any], dense: dict[str, Any]) -> Figures:
-    """Recall with one sweep and with four, by threshold; differences at the same poses."""
-    fixed = max((name for name in THRESHOLDS if name.startswith("fixed")), key=lambda n: np.nanmean(single[n]))
-    return {
-        "union_minus_single": estimate(dense["adaptive" + UNION] - single["adaptive"]),
-        "union_with_noise_minus_single": estimate(dense["adaptive_noise" + UNION] - single["adaptive_noise"]),
-        "mean_minus_single": estimate(dense["adaptive_noise"] - single["adaptive_noise"]),
-        "adaptive_minus_fixed": estimate(single["adaptive"] - single[fixed]),
-        "with_noise_minus_fixed": estimate(single["adaptive_noise"] - single[fixed]),
-        "best_fixed": fixed,
-        "recall": {name: estimate(values) for name, values in single.items()},
-        "recall_dense": {name: estimate(values) for name, values in dense.items()},
     }
 
 

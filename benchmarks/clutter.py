@@ -24,11 +24,10 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import loop, noise
-from benchmarks.columns import by_row
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table
+from benchmarks.tables import by_row, sections, table
 from benchmarks.variants import associators, replays
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle

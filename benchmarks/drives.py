@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.errors import map_nees
 from benchmarks.errors import nees as nees_of
-from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle

@@ -11,9 +11,8 @@ from __future__ import annotations
 
 import math
 
-from benchmarks.columns import of_visits
 from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, share
-from benchmarks.tables import sections, turned
+from benchmarks.tables import of_visits, sections, turned
 from benchmarks.worlds import COMPLETE_COVERAGE, found_all
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import CoverageCurve, run_policy

@@ -25,13 +25,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.errors import WRONG_M, calibration_error, off, roc_area
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import table, table_of
+from benchmarks.tables import columns_of, ratios, table, table_of
 from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import compose, inverse

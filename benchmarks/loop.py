@@ -23,14 +23,13 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import by_row
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive
 from benchmarks.kiss import installed
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
 from benchmarks.rough_pose import count_scans, drawn_looks, figures_of, finish, named
-from benchmarks.tables import sections, table
+from benchmarks.tables import by_row, sections, table
 from benchmarks.variants import DEFAULT, KISS, Variant, own_rows, rows_of
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg

@@ -27,12 +27,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import by_row, columns_of, means, precision_and_recall, ratios
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of, share
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import sections, table_of
+from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, Variant, own_rows, replays, rows_of
 from mecp_env.core.sensors import Odometry, Scan
 

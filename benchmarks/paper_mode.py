@@ -13,10 +13,9 @@ from typing import Any
 
 from benchmarks import association
 from benchmarks.association import IDEAL
-from benchmarks.columns import by_row, columns_of, ratios
 from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table_of
+from benchmarks.tables import by_row, columns_of, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
 SEEDS = {"paper": 60, IDEAL: 15}

@@ -25,29 +25,25 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 from benchmarks import noise, worlds
-from benchmarks.columns import columns_of, means, of_visits, ratios
 from benchmarks.common import Figures, Gate, Options, chosen, share, shared_data
 from benchmarks.drives import replay
-from benchmarks.plan_scores import score_rooms
+from benchmarks.plan_scores import score_plan
 from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
 from benchmarks.real_maps import MapData, caption, short, small_multiples
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table_of, turned
+from benchmarks.tables import columns_of, means, of_visits, ratios, sections, table_of, turned
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
 from mecp_env.floorplans import load_plan
 from mecp_env.world.outline import build_outline
-from mecp_env.wrappers import GoalActions
 
 PLANS, EXPLORED, VIEW = "plans", "explored", "view_180_deg"
 URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
 VIEW_DEG = 180.0
 KTH = "kth"  # the folder of the labelled plans
-PIXEL_M = 0.05  # of the labels
 STEPS_PER_M2 = 10.0
 MAPS = Path("runs/real")  # of each log, and of the first start in each plan
 COUNTS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
@@ -77,8 +73,7 @@ def run(options: Options) -> Figures:
     """Results of every set that there are data for."""
     counts = chosen(options.sets, COUNTS, MOST) or (QUICK if options.quick else COUNTS)
     skipped = {name: f"no {at}" for name in counts if (at := missing(name))}
-    for name, reason in skipped.items():
-        print(f"{name}: skipped, {reason}", file=sys.stderr)
+    sys.stderr.writelines(f"{name}: skipped, {reason}\n" for name, reason in skipped.items())
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
     results: dict[str, dict[str, list[Figures]]] = {}
     for (name, what), of_one in on_records(measure, dict[str, Any], tasks, options).items():
@@ -124,18 +119,12 @@ def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
     """The figures of one unit of work."""
     name, what, seed = task
     if name == PLANS:
-        return score(plans()[what])
+        return score_plan(plans()[what])._asdict()
     if name == EXPLORED:
         return explore(what, seed)
     if name in LOGS:
         return run_on_log(name, seed, None if what == "all" else int(what))
     return look_ahead(seed, records) if name == VIEW else explore_with_urg(name, seed)
-
-
-def score(path: Path) -> Figures:
-    """Rooms of a labelled plan."""
-    labels = np.asarray(Image.open(path.with_suffix(".rooms.png")), np.int32)
-    return score_rooms(load_plan(path), labels, PIXEL_M)._asdict()
 
 
 def explore(plan: str, start: int) -> Figures:
@@ -144,7 +133,7 @@ def explore(plan: str, start: int) -> Figures:
     most = int(STEPS_PER_M2 * build_outline(layout).free_area.area)
     visit, env = explored(layout, start, most)
     if start == 0:
-        map_of(env).save(MAPS / f"{plan}.npz")
+        MapData.of_env(env).save(MAPS / f"{plan}.npz")
     return figures_of(visit) | {"step_limit": most}
 
 
@@ -158,15 +147,8 @@ def explore_with_urg(name: str, seed: int) -> Figures:
 def figures_of(visit: Visit) -> Figures:
     """The figures of an exploration."""
     final = {name: float(value) for name, value in visit.final.items()}
-    early = visit.terminated and not visit.seen
-    return final | {"seen": visit.seen, "complete": visit.outcome == "complete", "early": early}
-
-
-def map_of(env: GoalActions) -> MapData:
-    """What is drawn of an exploration, in the world frame."""
-    view = env.get_wrapper_attr("view")()
-    paths = {"reference": view.path_world, "path": view.to_world(view.path_map)}
-    return MapData.of_output(view.slam_output, view.T_world_map, segments=view.segments, **paths)
+    complete, early = visit.outcome == "complete", visit.terminated and not visit.seen
+    return final | {"seen": visit.seen, "complete": complete, "early": early}
 
 
 def run_on_log(name: str, seed: int, scans: int | None) -> Figures:

@@ -49,6 +49,13 @@ class MapData(NamedTuple):
         empty = {"segments": np.empty((0, 2, 2)), "cells": np.empty((0, 2))}
         return cls(**empty | known | {"landmarks": p, "doors": doors})
 
+    @classmethod
+    def of_env(cls, env: Any) -> Self:
+        """What is drawn of an exploration, in the world frame."""
+        view = env.get_wrapper_attr("view")()
+        paths = {"reference": view.path_world, "path": view.to_world(view.path_map)}
+        return cls.of_output(view.slam_output, view.T_world_map, segments=view.segments, **paths)
+
     def save(self, path: Path) -> None:
         """Write the map as a NumPy archive."""
         path.parent.mkdir(parents=True, exist_ok=True)

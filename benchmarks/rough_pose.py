@@ -8,10 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from benchmarks.columns import columns_of, means, ratios
 from benchmarks.common import Figures
 from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator
+from benchmarks.tables import columns_of, means, ratios
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.sensors import Scan

@@ -15,11 +15,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.columns import columns_of, means, precision_and_recall
 from benchmarks.common import Figures, Gate, Options, runs_of, share
 from benchmarks.drives import replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import table_of
+from benchmarks.tables import columns_of, means, precision_and_recall, table_of
 from mecp_env.slam.config import chi2_of_point
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950

@@ -21,11 +21,10 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.columns import columns_of
 from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, ratio, show_progress
 from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
-from benchmarks.tables import listed, turned
+from benchmarks.tables import columns_of, listed, turned
 from benchmarks.vector import HELD
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16

@@ -19,13 +19,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks import association, loop
-from benchmarks.columns import by_row, columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.rough_pose import figures_of, front_end, named, right_share
-from benchmarks.tables import sections, table_of, turned
+from benchmarks.tables import by_row, columns_of, means, ratios, sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.slam import config

@@ -21,10 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.columns import of_visits
 from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, share, shared_data
 from benchmarks.drives import exploration
-from benchmarks.tables import sections, turned
+from benchmarks.tables import of_visits, sections, turned
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.registration import make
