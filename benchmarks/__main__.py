@@ -89,21 +89,23 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{done}; after all shards, the same command without --shard gives the figures")
         return 0
     print(page_of(content, module))
-    if not given.gate:
-        keep(given, module, options, content)
+    code = gate(module, content) if given.gate else keep(given, module, options, content)
     shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
-    if given.gate:
-        return gate(module, content, RESULTS / f"{given.name}.json")
+    return code
+
+
+def keep(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> int:
+    """Write the result, unless it is a part and no file is named for it; 1 where a bound of the benchmark failed."""
+    is_part = given.quick or given.sets or given.modules or given.against or given.name == RECORD
+    if given.json or not is_part:
+        write(given, module, options, content)
     faults = module.faults(content["figures"]) if hasattr(module, "faults") else []
     sys.stderr.writelines(f"failed: {fault}\n" for fault in faults)
     return 1 if faults else 0
 
 
-def keep(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
-    """Write the result with its page and its pictures, unless it is a part and no file is named for it."""
-    is_part = given.quick or given.sets or given.modules or given.against or given.name == RECORD
-    if is_part and not given.json:
-        return
+def write(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
+    """Write the result with its page and its pictures."""
     path = given.json or RESULTS / f"{given.name}.json"
     save(content, page_of(content, module, f"{path.stem}.png"), path)
     if hasattr(module, "figure"):
@@ -205,9 +207,9 @@ def measure(name: str, module: Any, options: Options) -> Figures:
     return result(name, figures, min(before, calibration_ms()))
 
 
-def gate(module: Any, content: Figures, baseline: Path) -> int:
+def gate(module: Any, content: Figures) -> int:
     """Print what is worse than the committed baseline."""
-    gates = getattr(module, "GATES", ())
+    gates, baseline = getattr(module, "GATES", ()), RESULTS / f"{content['benchmark']}.json"
     if not gates or not baseline.is_file():
         print(f"gate failed: {'no gates defined' if not gates else f'no baseline {baseline.name}'}")
         return 1

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -51,6 +51,12 @@ class Drive:
             if isinstance(associator, OracleAssociator):
                 associator.correspondences = self.truth.correspondences(T_world_robot)
             yield pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan), T_world_robot
+
+    def part(self, first: int, count: int) -> Drive:
+        """So many scans of the drive, from one on."""
+        rows = slice(first, first + count)
+        parts = {name: getattr(self, name)[rows] for name in ("odometry", "scans", "T_world_robot")}
+        return replace(self, **parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

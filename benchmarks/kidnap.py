@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -34,7 +34,6 @@ from benchmarks.tables import columns_of, ratios, table, table_of
 from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.pipeline import SlamPipeline
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
@@ -58,16 +57,6 @@ GATES = tuple(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Event:
-    """A map, and the sensor data that follow."""
-
-    pipeline: SlamPipeline
-    odometry: list[Odometry | None]
-    scans: list[Scan]
-    T_map_robot: list[Array]  # true poses
-
-
 def run(options: Options) -> Figures:
     """Results of every layout and kind of event."""
     events = QUICK_EVENTS if options.quick else EVENTS
@@ -87,25 +76,17 @@ def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures
     first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
     change = VARIANTS[method or DEFAULT].change
     rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
-    size = len(first.scans)
-    wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())
-    T_map_world = inverse(first.T_world_robot[0])
-    poses = [compose(T_map_world, T) for T in first.T_world_robot]
-    outcomes: Figures = {kind: [] for kind in KINDS}
-    confidence, error = [], []
-    for step, (odometry, scan) in enumerate(zip(first.odometry, first.scans, strict=True)):
+    T_map_world, size = inverse(first.T_world_robot[0]), len(first.scans)
+    wrong = rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist()
+    readings, trace = list[Figures](), list[list[float]]()
+    for step, (output, T_world_robot) in enumerate(first.outputs(pipeline), 1):
+        trace.append([output.confidence, off(output.belief.T_map_robot, compose(T_map_world, T_world_robot))[0]])
         if step in wrong:
-            outcomes["reading"].append(outcome(misread(first, poses, step, pipeline, rng)))
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        confidence.append(output.confidence)
-        error.append(off(output.belief.T_map_robot, poses[step])[0])
-    for step in rng.choice(np.arange(1, len(second.scans) - AFTER), count, replace=False).tolist():
-        part = slice(step, step + AFTER)
-        there = [compose(T_map_world, T) for T in second.T_world_robot[part]]
-        event = Event(pipeline, second.odometry[part], second.scans[part], there)
-        outcomes["carried"].append(outcome(event))
-    before = [k for step in sorted(wrong) for k in range(max(step - BEFORE, 0), step)]
-    return {**outcomes, "before": [[confidence[k], error[k]] for k in before]}
+            readings.append(outcome(misread(first.part(step, AFTER), rng), pipeline, T_map_world))
+    starts = rng.choice(np.arange(1, len(second.scans) - AFTER), count, replace=False).tolist()
+    carried = [outcome(second.part(start, AFTER), pipeline, T_map_world) for start in starts]
+    before = [trace[k] for step in sorted(wrong) for k in range(max(step - BEFORE, 0), step)]
+    return {"reading": readings, "carried": carried, "before": before}
 
 
 def course(layout: str, building: int, seed: int) -> Course:
@@ -113,26 +94,22 @@ def course(layout: str, building: int, seed: int) -> Course:
     return Course(place(layout, FIRST_BUILDING + building), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
-def misread(drive: Drive, poses: list[Array], step: int, pipeline: SlamPipeline, rng: np.random.Generator) -> Event:
-    """The drive from a step on, whose odometry is wrong."""
-    part = slice(step, step + AFTER)
-    odometry, along, turn = drive.odometry[part], *rng.choice((-1.0, 1.0), 2)
-    assert odometry[0] is not None
-    increments = odometry[0].increments.copy()
+def misread(event: Drive, rng: np.random.Generator) -> Drive:
+    """A part of a drive whose first odometry is wrong."""
+    first, along, turn = event.odometry[0], *rng.choice((-1.0, 1.0), 2)
+    assert first is not None
+    increments = first.increments.copy()
     increments[0] += along * READING_M, turn * READING_RAD
-    odometry[0] = replace(odometry[0], increments=increments)
-    return Event(pipeline, odometry, drive.scans[part], poses[part])
+    return replace(event, odometry=[replace(first, increments=increments), *event.odometry[1:]])
 
 
-def outcome(event: Event) -> Figures:
-    """What happened after an event, on a copy of its map."""
-    pipeline = copy.deepcopy(event.pipeline)
+def outcome(event: Drive, mapped: SlamPipeline, T_map_world: Array) -> Figures:
+    """What happened in the scans of an event, on a copy of the map."""
     noticed = relocalised = accepted = False
     harmless = was_localised = True
     trace = []
-    for k, (odometry, scan, T) in enumerate(zip(event.odometry, event.scans, event.T_map_robot, strict=True)):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        error_m, error_rad = off(output.belief.T_map_robot, T)
+    for k, (output, T_world_robot) in enumerate(event.outputs(copy.deepcopy(mapped))):
+        error_m, error_rad = off(output.belief.T_map_robot, compose(T_map_world, T_world_robot))
         right = error_m < WRONG_M and error_rad < WRONG_RAD
         noticed |= k < WITHIN and output.confidence < DOUBTED
         harmless &= right

@@ -76,7 +76,8 @@ def step_ms(drive: Drive, name: str, count: int) -> list[float]:
     """Milliseconds of each step with a filter, CPU time of this thread."""
     pipeline, first = enlarged(drive, with_change(drive.slam, {"filter": {"kind": name}}), count)
     ms = []
-    for odometry, scan in zip(drive.odometry[first : first + SCANS], drive.scans[first : first + SCANS], strict=True):
+    part = drive.part(first, SCANS)
+    for odometry, scan in zip(part.odometry, part.scans, strict=True):
         assert odometry is not None
         start = time.thread_time()
         pipeline.step(odometry, scan)
@@ -101,14 +102,13 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
 
 def enlarged(drive: Drive, slam: SlamConfig, count: int) -> tuple[SlamPipeline, int]:
     """An estimator on the drive with so many landmarks, and the number of the scan that comes next."""
-    pipeline, large = SlamPipeline(slam), False
-    for number, (odometry, scan) in enumerate(zip(drive.odometry, drive.scans, strict=True)):
-        if large:
-            return pipeline, number
-        large = len(pipeline.filter.ids) >= FIRST
-        if large:
+    pipeline = SlamPipeline(slam)
+    outputs = drive.outputs(pipeline)
+    for number, _ in enumerate(outputs, 1):
+        if len(pipeline.filter.ids) >= FIRST:
             enlarge(pipeline, count)
-        _ = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)  # divides a map into submaps
+            next(outputs)  # divides a map into submaps
+            return pipeline, number + 1
     raise ValueError(f"the drive has {len(pipeline.filter.ids)} landmarks, {FIRST} expected")
 
 

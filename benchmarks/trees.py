@@ -65,12 +65,13 @@ def started(tree: Path, words: Sequence[str], variables: Mapping[str, str], **st
         start_new_session=True,
         **streams,
     )
-    with contextlib.suppress(BrokenPipeError), process:  # it may end before it has read everything
-        try:
-            yield process
-        finally:
-            with contextlib.suppress(OSError):
-                os.killpg(process.pid, signal.SIGKILL)
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(OSError):
+            os.killpg(process.pid, signal.SIGKILL)
+        with contextlib.suppress(BrokenPipeError), process:  # it may end before it has read everything
+            pass
 
 
 @contextlib.contextmanager
