@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -163,9 +162,8 @@ def run_on_log(name: str, seed: int, scans: int | None) -> Figures:
 
 def look_ahead(seed: int, records: Records = IN_MEMORY) -> Figures:
     """A drive on `paper` whose scans are cut to the field of view, for an estimator that knows it."""
-    drive = noise.recorded(noise.BASE, seed, records)
-    cut = replace(drive, scans=[noise.narrowed(scan, VIEW_DEG) for scan in drive.scans])
-    return replay(cut, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
+    drive = noise.drive_of(VIEW, seed, records)
+    return replay(drive, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
 
 
 def summarise_plans(results: Mapping[str, list[Figures]]) -> Figures:
