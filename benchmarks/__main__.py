@@ -9,6 +9,7 @@ import shutil
 import signal
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -88,26 +89,23 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{done}; after all shards, the same command without --shard gives the figures")
         return 0
     print(page_of(content, module))
-    if not given.gate:
-        keep(given, module, options, content)
+    code = gate(module, content) if given.gate else keep(given, module, options, content)
     shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
-    if given.gate:
-        return gate(module, content, RESULTS / f"{given.name}.json")
-    faults = [f"failed: {fault}" for fault in getattr(module, "faults", no_faults)(content["figures"])]
-    sys.stderr.writelines(f"{fault}\n" for fault in faults)
+    return code
+
+
+def keep(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> int:
+    """Write the result, unless it is a part and no file is named for it; 1 where a bound of the benchmark failed."""
+    is_part = given.quick or given.sets or given.modules or given.against or given.name == RECORD
+    if given.json or not is_part:
+        write(given, module, options, content)
+    faults = module.faults(content["figures"]) if hasattr(module, "faults") else []
+    sys.stderr.writelines(f"failed: {fault}\n" for fault in faults)
     return 1 if faults else 0
 
 
-def no_faults(figures: Figures) -> list[str]:
-    """None, of a benchmark without bounds of its own."""
-    return []
-
-
-def keep(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
-    """Write the result with its page and its pictures, unless it is a part and no file is named for it."""
-    is_part = given.quick or given.sets or given.modules or given.against or given.name == RECORD
-    if is_part and not given.json:
-        return
+def write(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
+    """Write the result with its page and its pictures."""
     path = given.json or RESULTS / f"{given.name}.json"
     save(content, page_of(content, module, f"{path.stem}.png"), path)
     if hasattr(module, "figure"):
@@ -133,20 +131,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     for fault in wrong_options(given, module):
         parser().error(fault)
     folder = UNITS / given.name
-    return Options(
-        jobs=given.jobs,
-        quick=given.quick,
-        sets=tuple(given.sets),
-        modules=tuple(given.modules),
-        against=given.against,
-        shard=given.shard,
-        folder=folder.absolute(),
-        records=(given.records or (RECORDS if given.name == RECORD else folder / "records")).absolute(),
-        cluster=given.cluster,
-        task=given.task,
-        policies=tuple(given.policies),
-        buildings=given.buildings,
-    )
+    records = given.records or (RECORDS if given.name == RECORD else folder / "records")
+    shared = {field.name: getattr(given, field.name) for field in fields(Options) if hasattr(given, field.name)}
+    return Options(**shared | {"folder": folder.absolute(), "records": records.absolute()})
 
 
 def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
@@ -220,9 +207,9 @@ def measure(name: str, module: Any, options: Options) -> Figures:
     return result(name, figures, min(before, calibration_ms()))
 
 
-def gate(module: Any, content: Figures, baseline: Path) -> int:
+def gate(module: Any, content: Figures) -> int:
     """Print what is worse than the committed baseline."""
-    gates = getattr(module, "GATES", ())
+    gates, baseline = getattr(module, "GATES", ()), RESULTS / f"{content['benchmark']}.json"
     if not gates or not baseline.is_file():
         print(f"gate failed: {'no gates defined' if not gates else f'no baseline {baseline.name}'}")
         return 1

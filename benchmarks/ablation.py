@@ -19,13 +19,13 @@ from typing import Any, get_args
 import numpy as np
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, in_parallel, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.records import IN_MEMORY, Course, Records
-from benchmarks.tables import flatten, table
+from benchmarks.rough_pose import count_scans, drawn_looks, finish
+from benchmarks.tables import columns_of, flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.intervals import estimate
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 
@@ -86,15 +86,14 @@ def run(options: Options) -> Figures:
     units = [(cell, seed, name) for cell, seed in drives for name in names]
     task = partial(measure, records=Records(options.records))
     rows = dict(zip(units, in_parallel(task, Row, units, options), strict=True))
-    figures: Figures = {}
-    for name in names[1:]:
-        figures[name] = {}
-        for cell in dict(drives):
-            pairs = [(rows[c, s, name], rows[c, s, DEFAULT]) for c, s in drives if c == cell]
-            figures[name][cell] = {
-                key: estimate([ours[key] - usual[key] for ours, usual in pairs]) for key in pairs[0][1]
-            }
-    return figures
+    cells = grouped(drives, drives)
+    return {name: {cell: differences(rows, of, name) for cell, of in cells.items()} for name in names[1:]}
+
+
+def differences(rows: dict[tuple[str, int, str], Row], drives: list[tuple[str, int]], name: str) -> Figures:
+    """The mean differences of a variant to the default on some drives."""
+    own, usual = (columns_of([rows[*drive, row] for drive in drives]) for row in (name, DEFAULT))
+    return {key: estimate(own[key] - usual[key]) for key in usual}
 
 
 def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
@@ -117,8 +116,7 @@ def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
 def drive_of(cell: str, seed: int, records: Records) -> Drive:
     """The recorded drive of a cell."""
     if cell in noise.CELLS:
-        drive = noise.recorded(noise.source(cell), seed, records)
-        return noise.CHANGED[cell](drive, seed) if cell in noise.CHANGED else drive
+        return noise.drive_of(cell, seed, records)
     fields = {"estimator": "truth", "max_steps": 1500} | (CROWD if cell == "people" else {})
     return records.drive(Course(f"hard:{800 + seed}", seed, fields))
 
@@ -127,11 +125,10 @@ def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:
     """Scans of a drive against the map that the variant makes of it, at 2 m and 20 degrees."""
     drive = records.drive(loop.course(ROUGH_SETS[seed % len(ROUGH_SETS)], seed))
     drive = replace(drive, slam=with_change(drive.slam, change))
-    finished, rng = loop.finish(drive), np.random.default_rng(seed)
-    steps = rng.choice(np.arange(loop.FIRST_SCAN, len(drive.scans)), loop.SCANS, replace=False)
-    looks = [loop.look(drive, finished, int(step)) for step in steps]
+    finished, rng = finish(drive), np.random.default_rng(seed)
+    looks = drawn_looks(drive, finished, loop.SCANS, rng)
     associator = make_associator(drive.slam.association)
-    counted = loop.count_scans(finished, associator, looks, loop.SIGMAS[-1], rng.normal(size=(loop.SCANS, 3)))
+    counted = count_scans(finished, associator, looks, loop.SIGMAS[-1], rng.normal(size=(loop.SCANS, 3)))
     return {"right": counted["right"] / counted["scans"], "wrong_pairs": float(counted["wrong"])}
 
 

@@ -17,10 +17,9 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks import peers
-from benchmarks.common import Figures, Options
+from benchmarks.common import Figures, Options, ratio
 from benchmarks.tables import table
-from benchmarks.trees import WORKING_TREE, TreeWorker, checkout
-from mecp_env.core.intervals import ratio
+from benchmarks.trees import WORKING_TREE, TreeWorker, checkout, tree_worker
 
 ACTIONS, SWEEPS = ("random", "breadth_first"), (1, 4)
 HERE = "working tree"
@@ -54,7 +53,7 @@ def run(options: Options, sizes: Sizes | None = None) -> Figures:
 def compare(trees: dict[str, Path], actions: str, sweeps: int, sizes: Sizes) -> Figures:
     """The figures of one kind of action."""
     with contextlib.ExitStack() as stack:
-        workers = [stack.enter_context(TreeWorker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
+        workers = [stack.enter_context(tree_worker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
         return summarise(list(measure(workers, sizes)))
 
 

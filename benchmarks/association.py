@@ -18,41 +18,31 @@ per scan, the median of a drive.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from benchmarks.columns import columns_of, means, precision_and_recall, ratios
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
-from benchmarks.drives import Drive, Replay, replay
-from benchmarks.loop import HARD, MAX_STEPS, place
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, RIVALS, own_rows, with_change
+from benchmarks import loop
+from benchmarks.common import Figures, Gate, Options, estimate, load_modules, runs_of, share
+from benchmarks.drives import Drive, Replay
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
+from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
+from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Bools, Ints
-from mecp_env.core.errors import MecpError
-from mecp_env.core.intervals import estimate, share
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.policies.report import cell
-from mecp_env.slam.config import SlamConfig
 
-METHODS: dict[str, dict[str, Any]] = {  # fields of the association section that override those of the drive
-    "mecp": {},
-    "mecp without descriptor": {"use_descriptor": False},
-    "mecp without polygons": {"use_polygons": False},
-    "mecp without rooms": {"use_rooms": False},
-    "mecp_paper": SlamConfig.paper().association.model_dump(),
-    **RIVALS,
-    "nearest": {"method": "nearest"},
-}
+METHODS = rows_of(
+    *(DEFAULT, "mecp without descriptor", "mecp without polygons", "mecp without rooms", "mecp_paper"),
+    *(*RIVALS, "nearest", LETTER),
+)
 IDEAL = "paper_ideal"
 ASSUMED: dict[str, Any] = {  # the other reading of IV
     "laser": {"preset": "ideal"},
     "slam": {"sensor": {"range_sigma_m": 0.05, "bearing_sigma_deg": 0.3}},
 }
-LETTER = "SlamConfig.paper()"
 SEEDS = {"paper": 60, IDEAL: 15, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
 SETS, MOST = tuple(SEEDS), 1000
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
@@ -82,43 +72,37 @@ class Pairs:
 def run(options: Options) -> Figures:
     """Results of every layout and associator."""
     load_modules(options.modules)
-    rows, drives = methods(), runs_of(options, SEEDS, MOST, 2)
-    return {
-        layout: {
-            name: summarise([run[name] for run in of_layout])
-            | differences([(run[name], run[DEFAULT]) for run in of_layout])
-            for name in rows
-        }
-        for layout, of_layout in on_records(compare, dict[str, Figures], drives, options).items()
-    }
+    runs = on_records(compare, dict[str, Figures], runs_of(options, SEEDS, MOST, 2), options)
+    return {layout: of_layout(by_row(drives)) for layout, drives in runs.items()}
 
 
-def methods() -> dict[str, dict[str, Any]]:
-    """The rows of the table, and what each changes in the estimator; with those that modules register."""
-    rows = {name: {"association": fields} for name, fields in METHODS.items()}
-    rows[LETTER] = SlamConfig.paper().model_dump()
-    return rows | own_rows()
+def of_layout(rows: dict[str, list[Figures]]) -> Figures:
+    """Results of every associator, and its differences to `mecp` on the same drives."""
+    return {name: summarise(own) | differences(own, rows[DEFAULT]) for name, own in rows.items()}
+
+
+def methods() -> dict[str, Variant]:
+    """The rows of the table, with those of parts that modules register."""
+    return METHODS | own_rows()
 
 
 def course(layout: str, seed: int) -> Course:
     """What is driven."""
     if layout == IDEAL:
         return Course("paper", seed, ASSUMED)
-    return Course(place(layout, seed), seed, {"max_steps": MAX_STEPS} if layout == HARD else {})
+    return Course(
+        place(layout, loop.FIRST_BUILDING + seed), seed, {"max_steps": loop.MAX_STEPS} if layout == HARD else {}
+    )
 
 
 def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    drive, rows = records.drive(course(*drive_of)), methods()
-    return {name: counts(drive, replay_row(drive, name, change)) for name, change in rows.items()}
+    return counted(records.drive(course(*drive_of)), methods())
 
 
-def replay_row(drive: Drive, name: str, change: dict[str, Any]) -> Replay:
-    """What the estimator of a row makes of a drive; an error of a part says which row it is."""
-    try:
-        return replay(drive, with_change(drive.slam, change))
-    except MecpError as error:
-        raise type(error)(f"{name}: {error}") from error
+def counted(drive: Drive, rows: Mapping[str, Variant]) -> dict[str, Figures]:
+    """Counts of each row on a drive."""
+    return {name: counts(drive, outcome) for name, outcome in replays(drive, rows).items()}
 
 
 def counts(drive: Drive, outcome: Replay) -> Figures:
@@ -204,11 +188,10 @@ def summarise(runs: list[Figures]) -> Figures:
     }
 
 
-def differences(pairs: Sequence[tuple[Figures, Figures]]) -> Figures:
-    """Mean difference of a method to `mecp` over the drives, with its 95 % interval."""
-    names = ("precision", "recall", "rmse_m")
-    columns = [[np.subtract(*(of_drive(one)[name] for one in pair)) for pair in pairs] for name in names]
-    return {f"{name}_minus_mecp": estimate(column) for name, column in zip(names, columns, strict=True)}
+def differences(runs: Sequence[Figures], base: Sequence[Figures]) -> Figures:
+    """Mean difference of a method to `mecp` over the same drives, with its 95 % interval."""
+    own, other = (columns_of([of_drive(run) for run in some]) for some in (runs, base))
+    return {f"{name}_minus_mecp": estimate(own[name] - other[name]) for name in own}
 
 
 def of_drive(row: Figures) -> Figures:

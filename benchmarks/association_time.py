@@ -17,20 +17,19 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
-from typing import Any
 
 import numpy as np
 
 from benchmarks.clutter import independent
-from benchmarks.columns import columns_of, ratios
-from benchmarks.common import Figures, Gate, Options, best_of, runs_of
+from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
-from benchmarks.loop import (
+from benchmarks.loop import course
+from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.rough_pose import (
     FIRST_SCAN,
     RIGHT_PAIRS,
     Finished,
     Look,
-    course,
     finish,
     front_end,
     judged,
@@ -38,15 +37,13 @@ from benchmarks.loop import (
     named,
     rough_view,
 )
-from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table
-from benchmarks.variants import DEFAULT, RIVALS
+from benchmarks.tables import columns_of, ratios, sections, table
+from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
-from mecp_env.core.intervals import ratio
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
-from mecp_env.slam.config import AssociationConfig
+from mecp_env.slam.config import AssociationConfig, SlamConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
 from mecp_env.slam.protocols import Filter
@@ -54,14 +51,7 @@ from mecp_env.slam.protocols import Filter
 CORNERS, SPURIOUS = 20, 4
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
 PLAIN = "mecp without descriptor"
-METHODS: dict[str, dict[str, Any]] = {
-    DEFAULT: {},
-    "jcbb with descriptor": RIVALS["jcbb with descriptor"],
-    "ccda with descriptor": RIVALS["ccda with descriptor"],
-    PLAIN: {"use_descriptor": False},
-    "jcbb": RIVALS["jcbb"],
-    "ccda": RIVALS["ccda"],
-}
+METHODS = rows_of(DEFAULT, "jcbb with descriptor", "ccda with descriptor", PLAIN, "jcbb", "ccda")
 AGAINST = {name: PLAIN if name in (PLAIN, "jcbb", "ccda") else DEFAULT for name in METHODS}
 BUDGET = 1_000_000  # nodes; ten times the default, so that most searches end
 SEEDS = {"paper": 10, "furnished": 6, "hard": 6}  # drives
@@ -95,10 +85,7 @@ def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Sums:
     sums: Sums = {}
     for sigma_m, sigma_deg in SIGMAS:
         sigmas = np.array([sigma_m, sigma_m, math.radians(sigma_deg)])
-        rows = [
-            race(finished, seen, np.array([rng.normal(size=3) * sigmas, sigmas]), drive.slam.association)
-            for seen in looks
-        ]
+        rows = [race(finished, seen, np.array([rng.normal(size=3) * sigmas, sigmas]), drive.slam) for seen in looks]
         sums[named((sigma_m, sigma_deg))] = {
             name: {key: sum(row[name][key] for row in rows) for key in COUNTED} | {"polygons_ms": polygons_ms}
             for name in METHODS
@@ -147,13 +134,13 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
     return Corners(z[order], cov, *marks, doorways), np.where(spurious, -1, source)
 
 
-def race(finished: Finished, seen: Look, error: Array, section: AssociationConfig) -> dict[str, Figures]:
+def race(finished: Finished, seen: Look, error: Array, slam: SlamConfig) -> dict[str, Figures]:
     """What every associator does with one scan, its pose off by `error`: a row of x, y, heading, and their sigmas."""
     off, sigmas = error
     view, belief = rough_view(finished.pipeline, seen.T_map_robot + off, sigmas, len(seen.corners))
     rows = {}
-    for name, fields in METHODS.items():
-        config = section.model_copy(update=fields | {"search_budget": BUDGET})
+    for name, row in METHODS.items():
+        config = with_change(slam, row.change).association.model_copy(update={"search_budget": BUDGET})
         decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
         match = decide()
         pairs, wrong = judged(finished, seen, match)

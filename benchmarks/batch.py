@@ -8,66 +8,18 @@ Source: Dellaert and Kaess, "Factor graphs for robot perception", Foundations an
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks.common import from_extra
-from mecp_env.core.carriers import Array, Bools, Ints
+from benchmarks.known_pairs import Record, Sighting
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import wrapped
-from mecp_env.core.sensors import Odometry
-from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters import Filter, SubmapEkf, make_filter
-from mecp_env.slam.messages import Belief
 
 MOST_STEPS, MOST_HALVED = 100, 20
 SETTLED = 1e-12  # change of the cost
-FLOOR = 1e-10  # m^2, rad^2, of a motion, so that its covariance is positive at rest
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
-    """What the robot measured at one pose."""
-
-    z: Array  # (n,2) m, rad
-    R: Array  # (2n,2n)
-    ids: Ints  # (n,) true landmarks, each once
-
-    def part(self, chosen: Bools) -> Sighting:
-        """Some of the measurements; `chosen` (n,) says which."""
-        rows = np.repeat(chosen, 2)
-        return Sighting(self.z[chosen], self.R[np.ix_(rows, rows)], self.ids[chosen])
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
-    """The motion to the next pose as it was measured."""
-
-    odometry: Odometry  # for the filters
-    T: Array  # (3,) the next pose in the frame of this one
-    cov: Array  # (3,3) of x, y, heading, in the frame of the next pose (the twist of GTSAM)
-    lacking: Array | None = None  # (3,3) the part of `cov` that is not in the odometry, and the filters know
-
-    @classmethod
-    def of_odometry(cls, odometry: Odometry, config: FilterConfig) -> Motion:
-        """The motion and the noise that a filter predicts of it."""
-        start = make_filter(config.model_copy(update={"kind": "ekf", "prior_sigma_m": 1e-9, "prior_sigma_rad": 1e-9}))
-        start.predict(odometry)
-        moved = start.belief()
-        cov = turned(moved.pose_cov, -moved.T_map_robot[2]) + FLOOR * np.eye(3)
-        return cls(odometry, moved.T_map_robot, cov)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
-    """A drive with known correspondences: what every filter and the batch optimum get."""
-
-    start: Array  # (3,) the first pose
-    start_cov: Array  # (3,3)
-    motions: list[Motion]
-    sightings: list[Sighting]  # at the first pose and after each motion
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -80,47 +32,6 @@ class Optimum:
     covs: Array  # (m,2,2)
     chi2: float  # twice the cost there
     freedom: int  # its degrees of freedom
-
-
-def turned(cov: Array, angle: float) -> Array:
-    """(3,3) covariance of x, y, heading in axes that are turned by -angle."""
-    c, s = np.cos(angle), np.sin(angle)
-    R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    rotated: Array = R @ cov @ R.T
-    return rotated
-
-
-Correct = Callable[[Filter, Sighting, Odometry | None], None]  # by known landmarks, after a motion or at the start
-
-
-def filtered(record: Record, estimate: Filter, correct: Correct) -> Iterator[Belief]:
-    """Run a filter on a record: predict, `correct`, take in new landmarks; what it believes after each pose."""
-    estimate.set_pose(record.start, record.start_cov)
-    for motion, sighting in zip([None, *record.motions], record.sightings, strict=True):
-        if motion is not None:
-            advance(estimate, motion)
-        known = np.isin(sighting.ids, estimate.ids)
-        if known.any():
-            correct(estimate, sighting.part(known), motion.odometry if motion else None)
-        new = sighting.part(~known)
-        estimate.augment(new.z, new.R, new.ids)
-        yield estimate.belief()
-
-
-def advance(estimate: Filter, motion: Motion) -> None:
-    """Predict, and add the noise that the odometry lacks."""
-    estimate.predict(motion.odometry)
-    if motion.lacking is not None:
-        estimate.loosen(turned(motion.lacking, estimate.belief().T_map_robot[2]))
-
-
-def in_order(estimate: Filter) -> tuple[Array, Array]:
-    """Landmarks (m,2) and their covariances (m,2,2) by ascending id, after a last synchronisation of submaps."""
-    if isinstance(estimate, SubmapEkf):
-        estimate.synchronise()
-    belief = estimate.belief()
-    order = np.argsort(belief.ids)
-    return belief.p_map[order], belief.covs[order]
 
 
 def optimum(record: Record, path: Array, ids: Ints, p_map: Array) -> Optimum:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 
-from benchmarks import association, loop
-from benchmarks.common import Figures
+from benchmarks import association, loop, variants
+from benchmarks.common import Figures, estimate
 from benchmarks.corner_scores import Place, Score, make_places, score_places
-from benchmarks.drives import Drive, replay
+from benchmarks.drives import Drive
 from benchmarks.features import SEED, key_of, threshold
 from benchmarks.polygon_centres import in_the_map, in_the_scan
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.variants import with_change
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.ground_truth import covers
@@ -25,10 +23,9 @@ from mecp_env.slam.messages import Corners, Polygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.pipeline import SlamPipeline
 
-METHODS: dict[str, dict[str, Any]] = {  # some of the benchmark `association`
-    name: association.methods()[name]
-    for name in ("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", association.LETTER)
-}
+METHODS = variants.rows_of(  # some of the benchmark `association`
+    *("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", variants.LETTER)
+)
 VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
 THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")
@@ -49,18 +46,10 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     if kind == "loop":
         return loop.compare((layout, loop.SCANS, number), records, VARIANTS, SIGMAS)
     drive = records.drive(association.course(layout, number))
-    methods = of_methods(drive)
+    methods = association.counted(drive, METHODS)
     if kind == "ideal":  # only the filter is told of noise
         return {"methods": methods}
     return {"methods": methods, "polygons": of_polygons(drive, np.random.default_rng(number))}
-
-
-def of_methods(drive: Drive) -> dict[str, Figures]:
-    """Counts of each method in closed loop."""
-    return {
-        name: association.counts(drive, replay(drive, with_change(drive.slam, change)))
-        for name, change in METHODS.items()
-    }
 
 
 def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
@@ -152,3 +141,24 @@ def scores(places: Sequence[Place], preset: tuple[str, int], name: str) -> list[
 def counts(score: Score) -> list[int]:
     """Right corners, corners, detectable true ones found, detectable true ones."""
     return [int(score.table[:, 5].sum()), len(score.table), score.found[0], score.visible[0]]
+
+
+def recalls(counts: Sequence[Sequence[int]]) -> Array:
+    """(n,) recall at each pose; nan where no corner is visible."""
+    _, _, found, visible = np.array(counts, float).T
+    return np.where(visible > 0, found / np.maximum(visible, 1.0), np.nan)
+
+
+def of_clustering(single: dict[str, Array], dense: dict[str, Array]) -> Figures:
+    """Recall with one sweep and with four, by threshold; differences at the same poses."""
+    fixed = max((name for name in THRESHOLDS if name.startswith("fixed")), key=lambda n: np.nanmean(single[n]))
+    return {
+        "union_minus_single": estimate(dense["adaptive" + UNION] - single["adaptive"]),
+        "union_with_noise_minus_single": estimate(dense["adaptive_noise" + UNION] - single["adaptive_noise"]),
+        "mean_minus_single": estimate(dense["adaptive_noise"] - single["adaptive_noise"]),
+        "adaptive_minus_fixed": estimate(single["adaptive"] - single[fixed]),
+        "with_noise_minus_fixed": estimate(single["adaptive_noise"] - single[fixed]),
+        "best_fixed": fixed,
+        "recall": {name: estimate(values) for name, values in single.items()},
+        "recall_dense": {name: estimate(values) for name, values in dense.items()},
+    }

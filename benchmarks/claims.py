@@ -10,32 +10,29 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from benchmarks import association, claim_units
-from benchmarks.association import LETTER, differences, summarise
-from benchmarks.claim_units import PRESETS, SIGMAS, THRESHOLDS, UNION, VARIANTS, measure
-from benchmarks.columns import columns_of, means, ratios
-from benchmarks.common import Figures, Gate, Options, in_parallel
+from benchmarks import association
+from benchmarks.association import differences, summarise
+from benchmarks.claim_units import PRESETS, SIGMAS, VARIANTS, measure, of_clustering, recalls
+from benchmarks.common import Figures, Gate, Options, estimate, ratio
 from benchmarks.features import key_of
-from benchmarks.loop import figures_of, named
-from benchmarks.polygon_speed import by_bearing, convex, median_us, search, uniform
-from benchmarks.records import Records
-from benchmarks.tables import flatten, readable, table
-from mecp_env.core.intervals import estimate, ratio
+from benchmarks.polygon_speed import exponents
+from benchmarks.records import on_records
+from benchmarks.rough_pose import figures_of, named, right_share
+from benchmarks.tables import by_row, columns_of, flatten, means, ratios, readable, table
+from benchmarks.variants import LETTER
 from mecp_env.world.layout import shipped_layouts
 
 DRIVES = {"paper": 12, "furnished": 6}
 LOOPS = {"paper": 6, "hard": 4}
 POSES = 24  # per layout
-SITES, SETS, GROUPS = (10, 15, 20, 30, 40), 100, 5  # for the exponent of the cost
+SITES, SETS = (10, 15, 20, 30, 40), 100  # for the exponent of the cost
 DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
 IDEAL = {association.IDEAL: 12}
-ROUGH, ROUGHEST = (named(sigma) for sigma in SIGMAS)
+SIGMA_NAMES = ROUGH, ROUGHEST = tuple(named(sigma) for sigma in SIGMAS)
+PAPER = "mecp_paper"
 
 GATES = (
     Gate("variance/in_a_scan", "error", 1.2),
@@ -54,9 +51,14 @@ class Claim:
     sentence: str
     experiment: str
     figure: str  # keys joined by "/"
-    above: bool  # the bound is the least, not the most
-    bound: float
-    beside: tuple[str, ...] = ()  # other figures that belong to it
+    at_least: float | None = None  # one of both bounds
+    at_most: float | None = None
+    beside: Sequence[str] = ()  # other figures that belong to it
+
+    @property
+    def bound(self) -> str:
+        """The bound in signs."""
+        return f">= {self.at_least:g}" if self.at_least is not None else f"<= {self.at_most:g}"
 
     def holds(self, figures: Figures) -> str:
         """yes, no or open; open also where nothing was measured."""
@@ -64,22 +66,14 @@ class Claim:
         low, high = (found["low"], found["high"]) if isinstance(found, dict) else (found, found)
         if low is None or high is None:
             return "open"
-        sides = (low >= self.bound, high < self.bound) if self.above else (high <= self.bound, low > self.bound)
-        return "yes" if sides[0] else "no" if sides[1] else "open"
+        if self.at_least is not None:
+            right, wrong = low >= self.at_least, high < self.at_least
+        else:
+            right, wrong = high <= self.at_most, low > self.at_most
+        return "yes" if right else "no" if wrong else "open"
 
 
-def read_claims(path: Path) -> tuple[Claim, ...]:
-    """The claims of a file; `at_least` or `at_most` is the bound."""
-    found = []
-    for row in tomllib.loads(path.read_text())["claim"]:
-        texts = (row[name] for name in ("section", "sentence", "experiment", "figure"))
-        above = "at_least" in row
-        bound = row["at_least" if above else "at_most"]
-        found.append(Claim(*texts, above, bound, tuple(row.get("beside", ()))))
-    return tuple(found)
-
-
-CLAIMS = read_claims(Path(__file__).with_suffix(".toml"))
+CLAIMS = [Claim(**row) for row in tomllib.loads(Path(__file__).with_suffix(".toml").read_text())["claim"]]
 
 
 def run(options: Options) -> Figures:
@@ -92,12 +86,11 @@ def run(options: Options) -> Figures:
         for seed in range(max(count // part, 1))
     ]
     units += [("scans", layout, POSES // part) for layout in shipped_layouts()]
-    results = in_parallel(partial(measure, records=Records(options.records)), dict[str, Any], units, options)
     of: dict[str, list[Any]] = {}
-    for (kind, *_), result in zip(units, results, strict=True):
-        of.setdefault(kind, []).append(result)
+    for (kind, _), results in on_records(measure, dict[str, Any], units, options).items():
+        of.setdefault(kind, []).extend(results)
     rough = of_loops(of["loop"])
-    timed = {**rough.pop("timed"), **exponents(SETS // part)}
+    timed = {**rough.pop("timed"), **exponents(SITES, SETS // part)}
     return {
         **of_drives([r["methods"] for r in of["drive"]]),
         "ideal_laser": precisions([r["methods"] for r in of["ideal"]]),
@@ -110,19 +103,14 @@ def run(options: Options) -> Figures:
 
 def of_drives(runs: list[dict[str, Figures]]) -> Figures:
     """Closed loop: precision, pairs across a wall, returns."""
-    rows = {name: summarise([run[name] for run in runs]) for name in claim_units.METHODS}
+    rows = {name: summarise(own) for name, own in by_row(runs).items()}
+    alone = {"mecp": "mecp", "rooms_alone": "mecp without descriptor", "descriptor_alone": "mecp without rooms"}
     return {
         "closed_loop": precisions(runs),
-        "across_a_wall": {
-            "mecp": rows["mecp"]["swapped_per_1000"],
-            "rooms_alone": rows["mecp without descriptor"]["swapped_per_1000"],
-            "descriptor_alone": rows["mecp without rooms"]["swapped_per_1000"],
-            "paper": rows["mecp_paper"]["swapped_per_1000"],
-        },
+        "across_a_wall": {key: rows[name]["swapped_per_1000"] for key, name in (alone | {"paper": PAPER}).items()},
         "revisiting": {
-            "closure_recall": rows["mecp"]["closure_recall"],
-            "false_closures": rows["mecp"]["false_closures"],
-            "paper_closure_recall": rows["mecp_paper"]["closure_recall"],
+            **{key: rows["mecp"][key] for key in ("closure_recall", "false_closures")},
+            "paper_closure_recall": rows[PAPER]["closure_recall"],
             "events": rows["mecp"]["events"],
         },
     }
@@ -130,14 +118,11 @@ def of_drives(runs: list[dict[str, Figures]]) -> Figures:
 
 def precisions(runs: list[dict[str, Figures]]) -> Figures:
     """How exact the paper's rule is beside others, on the same drives."""
-    precision = {name: summarise([run[name] for run in runs])["precision"] for name in claim_units.METHODS}
-    pairs = differences([(run["mecp_paper"], run["nearest"]) for run in runs])
+    rows = by_row(runs)
+    names = {"paper": PAPER, "letter": LETTER, "mecp": "mecp", "nearest": "nearest"}
     return {
-        "paper_minus_nearest": pairs["precision_minus_mecp"],
-        "paper_precision": precision["mecp_paper"],
-        "letter_precision": precision[LETTER],
-        "mecp_precision": precision["mecp"],
-        "nearest_precision": precision["nearest"],
+        "paper_minus_nearest": differences(rows[PAPER], rows["nearest"])["precision_minus_mecp"],
+        **{f"{key}_precision": summarise(rows[name])["precision"] for key, name in names.items()},
     }
 
 
@@ -157,21 +142,18 @@ def of_polygons(runs: list[Figures]) -> Figures:
 
 def of_loops(runs: list[dict[str, dict[str, Figures]]]) -> Figures:
     """One scan at a rough pose: what polygons gain, and what methods cost."""
-    names = (VARIANTS[0], VARIANTS[1])
-    right = {
-        (name, s): np.array([run[name][s]["right"] / run[name][s]["scans"] for run in runs])
-        for name in names
-        for s in (ROUGH, ROUGHEST)
-    }
-    ms = {name: np.array([run[name][ROUGH]["ms"] for run in runs]) for name in VARIANTS}
+    cells = {(name, sigma): of for name, own in by_row(runs).items() for sigma, of in by_row(own).items()}
+    with_them, without, *_ = VARIANTS
+    gain = {sigma: right_share(cells[with_them, sigma]) - right_share(cells[without, sigma]) for sigma in SIGMA_NAMES}
+    ms = {name: columns_of(cells[name, ROUGH])["ms"] for name in VARIANTS}
     return {
         "rough_pose": {
-            "polygons_gain": estimate(right[names[0], ROUGH] - right[names[1], ROUGH]),
-            "polygons_gain_roughest": estimate(right[names[0], ROUGHEST] - right[names[1], ROUGHEST]),
-            "right": {name: figures_of([run[name][ROUGH] for run in runs])["right"] for name in VARIANTS},
+            "polygons_gain": estimate(gain[ROUGH]),
+            "polygons_gain_roughest": estimate(gain[ROUGHEST]),
+            "right": {name: figures_of(cells[name, ROUGH])["right"] for name in VARIANTS},
         },
         "timed": {
-            "paper_over_jcbb": ratio(ms["mecp_paper"], ms["jcbb"]),
+            "paper_over_jcbb": ratio(ms[PAPER], ms["jcbb"]),
             "mecp_over_jcbb_with_descriptor": ratio(ms["mecp"], ms["jcbb with descriptor"]),
         },
     }
@@ -191,48 +173,14 @@ def of_scans(layouts: list[dict[str, dict[str, list[list[int]]]]]) -> Figures:
     }
 
 
-def of_clustering(single: dict[str, Any], dense: dict[str, Any]) -> Figures:
-    """Recall with one sweep and with four, by threshold; differences at the same poses."""
-    fixed = max((name for name in THRESHOLDS if name.startswith("fixed")), key=lambda n: np.nanmean(single[n]))
-    return {
-        "union_minus_single": estimate(dense["adaptive" + UNION] - single["adaptive"]),
-        "union_with_noise_minus_single": estimate(dense["adaptive_noise" + UNION] - single["adaptive_noise"]),
-        "mean_minus_single": estimate(dense["adaptive_noise"] - single["adaptive_noise"]),
-        "adaptive_minus_fixed": estimate(single["adaptive"] - single[fixed]),
-        "with_noise_minus_fixed": estimate(single["adaptive_noise"] - single[fixed]),
-        "best_fixed": fixed,
-        "recall": {name: estimate(values) for name, values in single.items()},
-        "recall_dense": {name: estimate(values) for name, values in dense.items()},
-    }
-
-
-def recalls(counts: Sequence[Sequence[int]]) -> Any:
-    """(n,) recall at each pose; nan where no corner is visible."""
-    _, _, found, visible = np.array(counts, float).T
-    return np.where(visible > 0, found / np.maximum(visible, 1.0), np.nan)
-
-
-def exponents(sets: int) -> Figures:
-    """Slope of log time over log sites of the polygon search, with the spread over groups of sets of sites."""
-    return {f"exponent_{make.__name__}": estimate(slopes(make, sets)) for make in (uniform, convex)}
-
-
-def slopes(make: Any, sets: int) -> list[float]:
-    """The slope in each group."""
-    items = {n: [by_bearing(points) for points in make(n, sets)] for n in SITES}
-    groups = [[median_us(search, items[n][k::GROUPS]) for n in SITES] for k in range(GROUPS)]
-    return [float(np.polyfit(np.log(SITES), np.log(group), 1)[0]) for group in groups]
-
-
 def report(figures: Figures) -> str:
     """One table of the claims, and one of all figures."""
     flat, rows = flatten(figures), []
     for claim in CLAIMS:
         beside = [f"{name.partition('/')[2]}: {readable(flat.get(name, '-'))}" for name in claim.beside]
-        bound = f"{'>=' if claim.above else '<='} {claim.bound:g}"
         sentence = f'"{claim.sentence}" ({claim.section})'
         found, holds = flat.get(claim.figure, "-"), f"**{claim.holds(figures)}**"
-        rows.append([sentence, claim.experiment, found, bound, holds, "; ".join(beside)])
+        rows.append([sentence, claim.experiment, found, claim.bound, holds, "; ".join(beside)])
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
     every = table(["figure", "value [95 % interval]"], flat.items())
     return f"{table(header, rows)}\n\n## All figures\n\n{every}"

@@ -25,11 +25,10 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop, noise
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
-from benchmarks.drives import replay
 from benchmarks.plots import Panel, draw_bands
-from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table
-from benchmarks.variants import associators, with_change
+from benchmarks.records import HARD, IN_MEMORY, Records, on_records
+from benchmarks.tables import by_row, sections, table
+from benchmarks.variants import associators, replays
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.config import SlamConfig
@@ -39,7 +38,7 @@ from mecp_env.slam.rooms import RoomGraphEstimator
 
 DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent
 CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 20), (0.8, 30))
-DRIVES = {"paper": 20, loop.HARD: 4}
+DRIVES = {"paper": 20, HARD: 4}
 SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
 CLEAR_M = 0.5
 TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
@@ -64,8 +63,8 @@ def run(options: Options) -> Figures:
     ]
     figures: Figures = {}
     for (layout, *cell), runs in on_records(compare, dict[str, Figures], drives, options).items():
-        of_cell = figures.setdefault(layout, {}).setdefault(named(*cell), {})
-        of_cell |= {name: noise.summarise([one[name] for one in runs]) for name in runs[0]}
+        of_cell = {name: noise.summarise(own) for name, own in by_row(runs).items()}
+        figures.setdefault(layout, {})[named(*cell)] = of_cell
     return figures
 
 
@@ -79,10 +78,7 @@ def compare(task: tuple[str, float, int, int], records: Records = IN_MEMORY) -> 
     layout, detection, spurious, seed = task
     drive = records.drive(course(layout, seed))
     made = partial(ClutteredPipeline, chances=(detection, spurious / 100.0), seed=seed)
-    return {
-        name: replay(drive, with_change(drive.slam, change), estimator=made).counts
-        for name, change in associators().items()
-    }
+    return {name: outcome.counts for name, outcome in replays(drive, associators(), made).items()}
 
 
 class ClutteredRooms(RoomGraphEstimator):

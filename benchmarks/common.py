@@ -27,14 +27,14 @@ import numpy as np
 
 from benchmarks.tables import flatten, readable, table
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.intervals import Figures, estimate, ratio, share
+from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
 from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies, import_modules
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])
 
-__all__ = ["Figures", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
+__all__ = ["Figures", "correlation", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
 RECORDS = Path("runs/records")  # drives that stay, to be replayed
@@ -47,15 +47,15 @@ class Options:
 
     jobs: int = 1  # parallel processes
     quick: bool = False  # a small sample with rough results
-    sets: tuple[str, ...] = ()  # a subset, for benchmarks with sets
-    modules: tuple[str, ...] = ()  # that register custom associators or filters
+    sets: Sequence[str] = ()  # a subset, for benchmarks with sets
+    modules: Sequence[str] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
     records: Path | None = None  # folder of the drives that are replayed; None: they are driven again each time
     cluster: str = ""  # the address of a Ray cluster that the units run on
     task: str = ""  # of active SLAM
-    policies: tuple[str, ...] = ()
+    policies: Sequence[str] = ()
     buildings: int = 0  # at each point; 0: as many as the benchmark has by itself
 
 

@@ -25,16 +25,15 @@ from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import chi2
 
 from benchmarks import loop
-from benchmarks.batch import FLOOR, Motion, Optimum, Record, Sighting, filtered, in_order, optimum
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
-from benchmarks.drives import Drive
+from benchmarks.batch import Optimum, optimum
+from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
 from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
+from benchmarks.known_pairs import Sighting, filtered, in_order, measured
 from benchmarks.plots import DASHES, GREYS
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import sections, table_of
+from benchmarks.tables import by_row, columns_of, means, sections, table_of
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import estimate, ratio
-from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle, wrapped
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
@@ -51,10 +50,9 @@ MODELS: dict[str, dict[str, Any]] = {  # fields of the odometry
 SLIPS = ("skid_steer",)
 DRIVES = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
 SETS, MOST, QUICK_DRIVES = tuple(MODELS), 1000, 2
+OVER_TIME, COMPARED = "nees_over_time", ("nees", "landmark_nees", "landmark_rms_m")  # to BASE
 BATCH, BASE, ALL = "batch", "riekf", "riekf, all iterated"
 SUBMAP, MOMENTS = 10, 40  # of a drive, for NEES over time
-OUTLIER_2, OUTLIER_3 = float(chi2.ppf(0.999, 2)), float(chi2.ppf(1.0 - 1e-6, 3))
-SLIP_SIGMAS = np.array([0.5, 0.1, 0.2])  # m, m, rad: what the batch optimum allows for in a step with slip
 
 GATES = (
     Gate("per_metre/riekf/nees", "bound", 4.5),
@@ -70,7 +68,12 @@ def run(options: Options) -> Figures:
     drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
     drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each model
     runs = on_records(compare, dict[str, Figures], drives, options)
-    return {model: {name: summarise(of_model, name) for name in of_model[0]} for model, of_model in runs.items()}
+    return {model: of_model(by_row(drives)) for model, drives in runs.items()}
+
+
+def of_model(rows: dict[str, list[Figures]]) -> Figures:
+    """Results of every filter, and of the batch optimum."""
+    return {name: summarise(own, rows[BATCH], rows[BASE]) for name, own in rows.items()}
 
 
 def course(model: str, seed: int) -> Course:
@@ -121,45 +124,6 @@ class Correction:
         self.guard.travelled = self.guard.turned = 0.0
 
 
-def measured(drive: Drive, slips: bool = False) -> tuple[Record, Array, Array]:
-    """The record of a drive, its true path (n,3), and the true corners (m,2), in the frame of the first pose."""
-    T_map_world = inverse(drive.T_world_robot[0])
-    corners, config = to_map(T_map_world, drive.truth.outline.corners.p_world), drive.slam.filter
-    motions, sightings, path = list[Motion](), list[Sighting](), list[Array]()
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        if odometry is None and sightings:
-            continue  # at rest
-        T_map_robot = compose(T_map_world, T_world_robot)
-        if odometry is not None:
-            motion = Motion.of_odometry(odometry, config)
-            motions.append(with_slip(motion, compose(inverse(path[-1]), T_map_robot)) if slips else motion)
-        sightings.append(seen(drive, scan, T_world_robot, to_robot(T_map_robot, corners)))
-        path.append(T_map_robot)
-    sigmas = np.array([config.prior_sigma_m, config.prior_sigma_m, config.prior_sigma_rad])
-    return Record(np.zeros(3), np.diag(sigmas**2), motions, sightings), np.array(path), corners
-
-
-def with_slip(motion: Motion, T_true: Array) -> Motion:
-    """The motion; where its covariance denies the true one (3,), that of the batch optimum allows for slip."""
-    error = compose(inverse(motion.T), T_true)
-    if error @ np.linalg.solve(motion.cov + FLOOR * np.eye(3), error) < OUTLIER_3:
-        return motion
-    return Motion(motion.odometry, motion.T, motion.cov + np.diag(SLIP_SIGMAS**2))
-
-
-def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sighting:
-    """The corners of a scan that are true ones, without outliers; `p_robot` (m,2) are all true corners."""
-    corners = loop.front_end(scan, drive.slam)[0]
-    true = drive.truth.identify(corners, T_world_robot)
-    row = np.flatnonzero((true >= 0) & (true < len(p_robot)))
-    x, y = p_robot[true[row]].T
-    errors = corners.z[row] - np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
-    errors[:, 1] = wrapped(errors[:, 1])
-    blocks = np.array([corners.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in row]).reshape(-1, 2, 2)
-    row = row[nees(errors, blocks) < OUTLIER_2]
-    return Sighting(*corners.measurements(row), true[row])
-
-
 def of_filter(beliefs: list[Belief], landmarks: tuple[Array, Array], path: Array, corners: Array) -> Figures:
     """Counts of one filter."""
     errors = np.array([belief.T_map_robot for belief in beliefs]) - path
@@ -169,7 +133,7 @@ def of_filter(beliefs: list[Belief], landmarks: tuple[Array, Array], path: Array
     moments = np.linspace(0, len(over_time) - 1, MOMENTS + 1).round().astype(int)[1:]
     return {
         "nees": float(over_time.mean()),
-        "nees_over_time": over_time[moments].tolist(),
+        OVER_TIME: over_time[moments].tolist(),
         "rmse_m": rms(errors[:, :2]),
         **of_landmarks(*landmarks, corners),
     }
@@ -189,21 +153,20 @@ def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
     return {"landmark_nees": mean_nees(p_map - corners, covs), "landmark_rms_m": rms(p_map - corners)}
 
 
-def summarise(runs: list[dict[str, Figures]], name: str) -> Figures:
+def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> Figures:
     """Results of one filter over all drives with a model, each with its 95 % interval."""
-    own, best, base = [run[name] for run in runs], [run[BATCH] for run in runs], [run[BASE] for run in runs]
-    figures: Figures = {
-        column: estimate([one[column] for one in own]) for column, value in own[0].items() if isinstance(value, float)
-    }
-    figures["over_batch"] = ratio(*[[one["landmark_rms_m"] for one in some] for some in (own, best)])
-    if name != BATCH:
-        over_time = np.array([one["nees_over_time"] for one in own])
-        figures["nees_over_time"] = {str(k): estimate(column) for k, column in enumerate(over_time.T)}
-        for column in ("nees", "landmark_nees", "landmark_rms_m"):
-            figures[f"{column}_minus_{BASE}"] = estimate(
-                [one[column] - other[column] for one, other in zip(own, base, strict=True)]
-            )
+    of, of_best, of_base = (columns_of([numbers(one) for one in rows]) for rows in (own, best, base))
+    figures: Figures = {**means(of, *of), "over_batch": ratio(of["landmark_rms_m"], of_best["landmark_rms_m"])}
+    if own is not best:
+        over_time = np.array([one[OVER_TIME] for one in own])
+        figures[OVER_TIME] = {str(k): estimate(column) for k, column in enumerate(over_time.T)}
+        figures |= {f"{name}_minus_{BASE}": estimate(of[name] - of_base[name]) for name in COMPARED}
     return figures
+
+
+def numbers(counts: Figures) -> dict[str, float]:
+    """The counts of a drive without those over time."""
+    return {name: value for name, value in counts.items() if name != OVER_TIME}
 
 
 def band(runs: int, dimensions: int = 3) -> tuple[float, float]:
@@ -214,7 +177,7 @@ def band(runs: int, dimensions: int = 3) -> tuple[float, float]:
 def report(figures: Figures) -> str:
     """Per model a table with one row per filter."""
     columns = ["nees", "landmark_nees", "landmark_rms_m", "over_batch", "sigma_over_batch", "rmse_m"]
-    columns += [f"{name}_minus_{BASE}" for name in ("nees", "landmark_nees", "landmark_rms_m")]
+    columns += [f"{name}_minus_{BASE}" for name in COMPARED]
     parts = {}
     for model, rows in figures.items():
         n = rows[BASE]["nees"]["n"]
@@ -235,7 +198,7 @@ def figure(figures: Figures) -> Figure:
         n = rows[BASE]["nees"]["n"]
         at = np.arange(1, MOMENTS + 1) / MOMENTS
         axes.fill_between(at, *band(n), color="0.85", label="95 % of a consistent filter")
-        lines = {name: row["nees_over_time"] for name, row in rows.items() if name != BATCH}
+        lines = {name: row[OVER_TIME] for name, row in rows.items() if name != BATCH}
         for k, (name, line) in enumerate(lines.items()):
             values = [line[str(moment)]["value"] for moment in range(MOMENTS)]
             axes.plot(at, values, label=name, linestyle=DASHES[k], color=GREYS[k], linewidth=1.2)

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
+from benchmarks.errors import map_nees
 from benchmarks.errors import nees as nees_of
-from benchmarks.map_consistency import map_nees
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
@@ -51,6 +51,12 @@ class Drive:
             if isinstance(associator, OracleAssociator):
                 associator.correspondences = self.truth.correspondences(T_world_robot)
             yield pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan), T_world_robot
+
+    def part(self, first: int, count: int) -> Drive:
+        """So many scans of the drive, from one on."""
+        rows = slice(first, first + count)
+        parts = {name: getattr(self, name)[rows] for name in ("odometry", "scans", "T_world_robot")}
+        return replace(self, **parts)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -9,24 +9,16 @@ reached it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+import math
 
-import numpy as np
-
-from benchmarks.columns import of_visits
-from benchmarks.common import Figures, Gate, Options, grouped, in_parallel
-from benchmarks.tables import sections, turned
+from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, share
+from benchmarks.tables import of_visits, sections, turned
 from benchmarks.worlds import COMPLETE_COVERAGE, found_all
-from mecp_env.core.intervals import estimate, share
 from mecp_env.policies.registry import make_policy
+from mecp_env.policies.rollout import CoverageCurve, run_policy
 from mecp_env.registration import make
-from mecp_env.wrappers import GoalActions
 
-EXPLORERS = {
-    "breadth first": "bfs",
-    "random walk": "random_walk",
-}
+EXPLORERS = {"breadth first": "bfs", "random walk": "random_walk"}
 SEEDS = {"paper": 50, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15}
 QUICK = {"paper": 2, "two_rooms": 3}
 LEVELS = (0.90, 0.99)
@@ -47,49 +39,27 @@ GATES = (
 )
 
 
-@dataclass(slots=True)
-class Episode:
-    """One exploration: its final figures, and when each coverage was reached."""
-
-    final: dict[str, float] = field(default_factory=dict)
-    steps: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
-    metres: dict[float, float] = field(default_factory=lambda: dict.fromkeys(LEVELS, float("nan")))
-
-    def look(self, info: dict[str, Any]) -> None:
-        """Record the info of one control step."""
-        for level in LEVELS:
-            if np.isnan(self.steps[level]) and info["coverage"] >= level:
-                self.steps[level], self.metres[level] = info["period"], info["metres"]
-
-
 def run(options: Options) -> Figures:
     """Results of every layout and explorer."""
     seeds = QUICK if options.quick else SEEDS
     tasks = [(layout, name, seed) for layout in seeds for name in EXPLORERS for seed in range(seeds[layout])]
     figures: Figures = {layout: {} for layout in seeds}
-    for (layout, name), episodes in grouped(tasks, in_parallel(explore, Episode, tasks, options)).items():
+    for (layout, name), episodes in grouped(tasks, in_parallel(explore, dict[str, float], tasks, options)).items():
         figures[layout][name] = summarise(episodes)
     return figures
 
 
-def explore(task: tuple[str, str, int]) -> Episode:
-    """One episode: the layout, the name of the explorer, the seed."""
+def explore(task: tuple[str, str, int]) -> dict[str, float]:
+    """Final figures of one episode, and when each coverage was reached: the layout, the explorer, the seed."""
     layout, name, seed = task
-    agent = make_policy(EXPLORERS[name])
-    env = make(layout=layout, actions=agent.actions, max_steps=MAX_STEPS, start="random")
-    episode = Episode()
-    if isinstance(env, GoalActions):
-        env.callback = lambda step: episode.look(step[4])
-    agent.reset(seed)
-    observation, info = env.reset(seed=seed)
-    terminated = truncated = False
-    while not (terminated or truncated):
-        episode.look(info)
-        action = agent.act(observation, env.action_masks() if isinstance(env, GoalActions) else None)
-        observation, _, terminated, truncated, info = env.step(action)
-    episode.look(info)
-    episode.final = env.get_wrapper_attr("summary")()
-    return episode
+    agent, curve = make_policy(EXPLORERS[name]), CoverageCurve()
+    env = make(layout=layout, actions=agent.actions, max_steps=MAX_STEPS, start="random", info_texts=True)
+    run_policy(env, agent, lambda info: curve.add(info["metres"], info["period"], info["coverage"]), (0, seed))
+    final: dict[str, float] = env.get_wrapper_attr("summary")()
+    for level in LEVELS:
+        final[f"periods_to_{level:.0%}"] = curve.steps_to(level, math.nan)
+        final[f"metres_to_{level:.0%}"] = curve.metres_to(level, math.nan)
+    return final
 
 
 def is_complete(final: dict[str, float]) -> bool:
@@ -97,16 +67,15 @@ def is_complete(final: dict[str, float]) -> bool:
     return found_all(final) and final["coverage"] >= COMPLETE_COVERAGE
 
 
-def summarise(episodes: list[Episode]) -> Figures:
+def summarise(finals: list[dict[str, float]]) -> Figures:
     """Results of one explorer on one layout, each with its 95 % interval."""
-    finals = [episode.final for episode in episodes]
-
     figures: Figures = {"complete": share(map(is_complete, finals)), "lost": share(final["lost"] for final in finals)}
     figures |= of_visits(finals, TOTALS)
     for level in LEVELS:
-        figures[f"reached_{level:.0%}"] = share(not np.isnan(episode.steps[level]) for episode in episodes)
-        figures[f"periods_to_{level:.0%}"] = estimate([episode.steps[level] for episode in episodes])
-        figures[f"metres_to_{level:.0%}"] = estimate([episode.metres[level] for episode in episodes])
+        figures[f"reached_{level:.0%}"] = share(final[f"periods_to_{level:.0%}"] < math.inf for final in finals)
+        for unit in ("periods", "metres"):
+            name = f"{unit}_to_{level:.0%}"
+            figures[name] = estimate([final[name] for final in finals])
     figures["incomplete_seeds"] = [seed for seed, final in enumerate(finals) if not is_complete(final)]
     return figures
 

@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, in_parallel
+from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio
 from benchmarks.corner_scores import Score, make_places, score_places
 from benchmarks.tables import readable, sections, table, table_of, whole_rows
 from mecp_env.core.carriers import Array, Bools
-from mecp_env.core.intervals import estimate, ratio
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind
 from mecp_env.world.layout import shipped_layouts

@@ -12,11 +12,10 @@ from itertools import chain
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
 from benchmarks.tables import table_of
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import estimate
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FILTERS, make_filter

@@ -18,10 +18,9 @@ import gymnasium
 import numpy as np
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options, in_turns
+from benchmarks.common import Figures, Gate, Options, estimate, in_turns, share
 from benchmarks.random_actions import RandomDriver, goal, velocity
 from benchmarks.tables import whole_rows
-from mecp_env.core.intervals import estimate, share
 from mecp_env.env import MecpEnv
 
 BUILDINGS: dict[str, dict[str, Any]] = {

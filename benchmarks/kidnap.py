@@ -20,33 +20,31 @@ from __future__ import annotations
 
 import copy
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import columns_of, ratios
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive
+from benchmarks.errors import WRONG_M, calibration_error, off, roc_area
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import table, table_of
-from benchmarks.variants import RIVALS, with_change
+from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
+from benchmarks.tables import columns_of, ratios, table, table_of
+from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import estimate, ratio
-from mecp_env.core.se2 import compose, inverse, wrap_angle
-from mecp_env.core.sensors import Odometry, Scan
+from mecp_env.core.se2 import compose, inverse
 from mecp_env.slam.pipeline import SlamPipeline
 
 SEEDS = {"paper": 20, "office": 20, "hard": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
 METHODS = ("", "jcbb with descriptor")  # that of the default estimator, and a rival
-HARD, FIRST_BUILDING, MAX_STEPS = "hard", 600, 10_000
+FIRST_BUILDING, MAX_STEPS = 600, 10_000
 EVENTS, QUICK_EVENTS, QUICK_DRIVES = 10, 3, 2  # events of each kind on a drive
 BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
 READING_M, READING_RAD = 1.0, math.radians(20.0)
-WRONG_M, WRONG_RAD = 0.5, math.radians(10.0)
-DOUBTED, BINS = 0.5, 10
+WRONG_RAD = math.radians(10.0)
+DOUBTED = 0.5
 SHOWN = (0, 1, 2, 3, 4, 6, 8, 10, 15, 20, 29)  # scans after an event, in the figure
 KINDS = ("reading", "carried")
 SHARES = ("noticed", "harmless", "relocalised", "right_at_end")
@@ -57,16 +55,6 @@ GATES = tuple(
     for kind in KINDS
     for name in ("noticed", "relocalised")
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Event:
-    """A map, and the sensor data that follow."""
-
-    pipeline: SlamPipeline
-    odometry: list[Odometry | None]
-    scans: list[Scan]
-    T_map_robot: list[Array]  # true poses
 
 
 def run(options: Options) -> Figures:
@@ -86,55 +74,42 @@ def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures
     where, count, seed = task
     layout, _, method = where.partition(" ")
     first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
-    change = {"association": RIVALS[method]} if method else {}
+    change = VARIANTS[method or DEFAULT].change
     rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
-    size = len(first.scans)
-    wrong = set(rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist())
-    T_map_world = inverse(first.T_world_robot[0])
-    poses = [compose(T_map_world, T) for T in first.T_world_robot]
-    outcomes: Figures = {kind: [] for kind in KINDS}
-    confidence, error = [], []
-    for step, (odometry, scan) in enumerate(zip(first.odometry, first.scans, strict=True)):
+    T_map_world, size = inverse(first.T_world_robot[0]), len(first.scans)
+    wrong = rng.choice(np.arange(size // 2, size - AFTER), count, replace=False).tolist()
+    readings, trace = list[Figures](), list[list[float]]()
+    for step, (output, T_world_robot) in enumerate(first.outputs(pipeline), 1):
+        trace.append([output.confidence, off(output.belief.T_map_robot, compose(T_map_world, T_world_robot))[0]])
         if step in wrong:
-            outcomes["reading"].append(outcome(misread(first, poses, step, pipeline, rng)))
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        confidence.append(output.confidence)
-        error.append(off(output.belief.T_map_robot, poses[step])[0])
-    for step in rng.choice(np.arange(1, len(second.scans) - AFTER), count, replace=False).tolist():
-        part = slice(step, step + AFTER)
-        there = [compose(T_map_world, T) for T in second.T_world_robot[part]]
-        event = Event(pipeline, second.odometry[part], second.scans[part], there)
-        outcomes["carried"].append(outcome(event))
-    before = [k for step in sorted(wrong) for k in range(max(step - BEFORE, 0), step)]
-    return {**outcomes, "before": [[confidence[k], error[k]] for k in before]}
+            readings.append(outcome(misread(first.part(step, AFTER), rng), pipeline, T_map_world))
+    starts = rng.choice(np.arange(1, len(second.scans) - AFTER), count, replace=False).tolist()
+    carried = [outcome(second.part(start, AFTER), pipeline, T_map_world) for start in starts]
+    before = [trace[k] for step in sorted(wrong) for k in range(max(step - BEFORE, 0), step)]
+    return {"reading": readings, "carried": carried, "before": before}
 
 
 def course(layout: str, building: int, seed: int) -> Course:
     """A drive in a building, from a start of its own."""
-    place = f"{HARD}:{FIRST_BUILDING + building}" if layout == HARD else layout
-    return Course(place, seed, {"estimator": "truth", "max_steps": MAX_STEPS})
+    return Course(place(layout, FIRST_BUILDING + building), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
-def misread(drive: Drive, poses: list[Array], step: int, pipeline: SlamPipeline, rng: np.random.Generator) -> Event:
-    """The drive from a step on, whose odometry is wrong."""
-    part = slice(step, step + AFTER)
-    odometry, along, turn = drive.odometry[part], *rng.choice((-1.0, 1.0), 2)
-    assert odometry[0] is not None
-    increments = odometry[0].increments.copy()
+def misread(event: Drive, rng: np.random.Generator) -> Drive:
+    """A part of a drive whose first odometry is wrong."""
+    first, along, turn = event.odometry[0], *rng.choice((-1.0, 1.0), 2)
+    assert first is not None
+    increments = first.increments.copy()
     increments[0] += along * READING_M, turn * READING_RAD
-    odometry[0] = replace(odometry[0], increments=increments)
-    return Event(pipeline, odometry, drive.scans[part], poses[part])
+    return replace(event, odometry=[replace(first, increments=increments), *event.odometry[1:]])
 
 
-def outcome(event: Event) -> Figures:
-    """What happened after an event, on a copy of its map."""
-    pipeline = copy.deepcopy(event.pipeline)
+def outcome(event: Drive, mapped: SlamPipeline, T_map_world: Array) -> Figures:
+    """What happened in the scans of an event, on a copy of the map."""
     noticed = relocalised = accepted = False
     harmless = was_localised = True
     trace = []
-    for k, (odometry, scan, T) in enumerate(zip(event.odometry, event.scans, event.T_map_robot, strict=True)):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-        error_m, error_rad = off(output.belief.T_map_robot, T)
+    for k, (output, T_world_robot) in enumerate(event.outputs(copy.deepcopy(mapped))):
+        error_m, error_rad = off(output.belief.T_map_robot, compose(T_map_world, T_world_robot))
         right = error_m < WRONG_M and error_rad < WRONG_RAD
         noticed |= k < WITHIN and output.confidence < DOUBTED
         harmless &= right
@@ -144,12 +119,6 @@ def outcome(event: Event) -> Figures:
         trace.append([output.confidence, error_m])
     found = {"noticed": noticed or harmless, "harmless": harmless, "relocalised": relocalised, "accepted": accepted}
     return {**found, "right_at_end": output.localised and right, "trace": trace}
-
-
-def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
-    """Distance and turn between two poses (3,)."""
-    x, y, heading = T_map_robot - truth
-    return math.hypot(x, y), abs(wrap_angle(heading))
 
 
 def summarise(drives: list[Figures]) -> Figures:
@@ -193,20 +162,6 @@ def scans_of(drive: Figures) -> Array:
     """(n,2) confidence and position error of all scans of a drive's events and before them."""
     traces = [event["trace"] for kind in KINDS for event in drive[kind]]
     return np.concatenate([np.array(drive["before"]), *map(np.array, traces)])
-
-
-def roc_area(confidence: Array, error_m: Array) -> float:
-    """Probability that a scan with a small error has more confidence than one with a large error; ties count half."""
-    right, wrong = (np.sort(confidence[mask]) for mask in (error_m < WRONG_M, error_m >= WRONG_M))
-    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
-    return float(below.sum() / (2.0 * len(right) * len(wrong))) if len(right) and len(wrong) else math.nan
-
-
-def calibration_error(confidence: Array, error_m: Array) -> float:
-    """Mean difference of mean confidence and share of small errors in ten bins, weighted by their scans."""
-    bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
-    gap = np.bincount(bins, confidence - (error_m < WRONG_M), BINS)
-    return float(np.abs(gap).sum() / len(confidence))
 
 
 def figure(figures: Figures) -> Figure:

@@ -14,10 +14,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, steps_per_s
+from benchmarks.common import Figures, Gate, Options, estimate, steps_per_s
 from benchmarks.random_actions import RandomDriver, goal, velocity
 from benchmarks.tables import whole_rows
-from mecp_env.core.intervals import estimate
 
 ALGORITHMS = ("maskable_ppo", "ppo")
 RATE, WAITING = "periods_per_s", "waiting_share"

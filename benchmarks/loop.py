@@ -18,69 +18,32 @@ the test split, from number 500 on; the benchmark `worlds` uses those before. Ti
 
 from __future__ import annotations
 
-import math
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import columns_of, means, ratios
 from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
 from benchmarks.drives import Drive
-from benchmarks.kiss import KissPointsAssociator, installed
+from benchmarks.kiss import installed
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import sections, table
-from benchmarks.variants import (
-    CLIPPER,
-    DEFAULT,
-    KISS,
-    ONE_PASS,
-    POLYGONS_ALONE,
-    WITHOUT_POLYGONS,
-    Variant,
-    own_rows,
-    rival,
-    two_pass_jcbb,
-    with_change,
-)
-from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.sensors import Scan
-from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend import front_end as features_of
-from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon
-from mecp_env.slam.pipeline import SlamPipeline
-from mecp_env.slam.protocols import Associator, Filter
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
+from benchmarks.rough_pose import count_scans, drawn_looks, figures_of, finish, named
+from benchmarks.tables import by_row, sections, table
+from benchmarks.variants import DEFAULT, KISS, Variant, own_rows, rows_of
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
-VARIANTS: dict[str, Variant] = {
-    DEFAULT: Variant(),
-    "mecp without polygons": WITHOUT_POLYGONS,
-    "mecp without descriptor": Variant({"association": {"use_descriptor": False}}),
-    "mecp without both": Variant({"association": {"use_polygons": False, "use_descriptor": False}}),
-    "mecp without cliques": POLYGONS_ALONE,
-    "mecp in one pass": ONE_PASS,
-    "jcbb": rival("jcbb"),
-    "jcbb with descriptor": rival("jcbb with descriptor"),
-    "jcbb with descriptor in two passes": two_pass_jcbb(use_polygons=False),
-    "jcbb with all of mecp": two_pass_jcbb(use_polygons=True),
-    "ccda with descriptor": rival("ccda with descriptor"),
-    "clipper with descriptor": CLIPPER,
-    **(KISS if installed() else {}),
-    "nearest": Variant({"association": {"method": "nearest"}}),
-    "mecp_paper": Variant({"association": SlamConfig.paper().association.model_dump()}),
-}
+VARIANTS = rows_of(
+    *(DEFAULT, "mecp without polygons", "mecp without descriptor", "mecp without both", "mecp without cliques"),
+    *("mecp in one pass", "jcbb", "jcbb with descriptor", "jcbb with descriptor in two passes"),
+    *("jcbb with all of mecp", "ccda with descriptor", "clipper with descriptor", *(KISS if installed() else ())),
+    *("nearest", "mecp_paper"),
+)
 SEEDS = {"paper": 20, "hard": 20, "twins": 20}  # drives
 SETS, MOST = tuple(SEEDS), 500
-HARD, FIRST_BUILDING, MAX_STEPS = "hard", 500, 10_000  # the buildings before are those of `worlds`
-SCANS, FIRST_SCAN = 20, 10  # per drive; the first one
+FIRST_BUILDING, MAX_STEPS = 500, 10_000  # the buildings before are those of `worlds`
+SCANS = 20  # per drive
 QUICK_DRIVES, QUICK_SCANS = 2, 4
-RIGHT_PAIRS = 3
 WITHOUT_KISS = "KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing."
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
@@ -91,36 +54,11 @@ TITLES = {
 }
 
 
-def named(sigma: tuple[float, float]) -> str:
-    """A sigma of the pose as a key."""
-    return f"{sigma[0]:g} m {sigma[1]:g} deg"
-
-
 GATED = (("paper", DEFAULT), ("paper", "mecp without descriptor"), (HARD, DEFAULT))
 GATES = (
     *(Gate(f"{layout}/{name}/{named(sigma)}/right", "share", 0.05) for layout, name in GATED for sigma in SIGMAS[3:]),
     Gate(f"{HARD}/{DEFAULT}/{named(SIGMAS[4])}/wrong", "error", 1.5),
 )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Finished:
-    """The map of a drive: what an associator may look at, and which true corner each landmark is."""
-
-    pipeline: SlamPipeline
-    identity: Ints  # (F,) true corner of each feature, -1 for none
-    T_map_world: Array  # (3,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Look:
-    """The features of one scan, and what they are."""
-
-    corners: Corners
-    polygons: tuple[Polygon, ...]
-    true: Ints  # (n,) true corner of each corner, -1 for none
-    T_map_robot: Array  # (3,) true pose
-    beams: MergedScan | None = None
 
 
 def run(options: Options) -> Figures:
@@ -145,7 +83,7 @@ def compare(
 
 def all_variants() -> dict[str, Variant]:
     """The variants, with the associators that modules have registered."""
-    return VARIANTS | {name: Variant(change) for name, change in own_rows().items() if "association" in change}
+    return VARIANTS | {name: row for name, row in own_rows().items() if "association" in row.change}
 
 
 def on_drive(
@@ -153,12 +91,11 @@ def on_drive(
 ) -> dict[str, dict[str, Figures]]:
     """Counts of some variants and sigmas on `count` scans of a drive, drawn by the seed."""
     finished, rng = finish(drive), np.random.default_rng(seed)
-    steps = rng.choice(np.arange(FIRST_SCAN, len(drive.scans)), count, replace=False)
-    looks = [look(drive, finished, int(step)) for step in steps]
+    looks = drawn_looks(drive, finished, count, rng)
     errors = rng.normal(size=(len(SIGMAS), count, 3))
     return {
         name: {
-            named(sigma): count_scans(finished, associator_of(variant, drive.slam), looks, sigma, errors[k])
+            named(sigma): count_scans(finished, variant.associator(drive.slam), looks, sigma, errors[k])
             for k, sigma in enumerate(SIGMAS)
             if sigma in sigmas
         }
@@ -167,103 +104,15 @@ def on_drive(
     }
 
 
-def associator_of(variant: Variant, slam: SlamConfig) -> Associator:
-    """The associator of a variant, for the estimator of a drive."""
-    return variant.make(with_change(slam, variant.change).association)
-
-
-def place(layout: str, seed: int) -> str:
-    """The building of a drive."""
-    return f"{HARD}:{FIRST_BUILDING + seed}" if layout == HARD else layout
-
-
 def course(layout: str, seed: int) -> Course:
     """What is driven."""
-    return Course(place(layout, seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
-
-
-def finish(drive: Drive) -> Finished:
-    """The map that the default estimator makes of a drive."""
-    pipeline, log = SlamPipeline(drive.slam), AssociationLog(len(drive.truth.outline.corners))
-    for output, T_world_robot in drive.outputs(pipeline):
-        log.record(output, drive.truth.identify(output.corners, T_world_robot))
-    return Finished(pipeline, log.features[:, 0], inverse(drive.T_world_robot[0]))
-
-
-def look(drive: Drive, finished: Finished, step: int) -> Look:
-    """The features of a scan of the drive."""
-    corners, beams, wall = front_end(drive.scans[step], drive.slam)
-    polygons = find_structure(corners, beams, drive.slam.polygon, wall)
-    T_world_robot = drive.T_world_robot[step]
-    T_map_robot = compose(finished.T_map_world, T_world_robot)
-    return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot, beams)
-
-
-def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, Bools]:
-    """Corners of a scan, its beams, and which of these end on a wall."""
-    found = features_of(scan, slam)
-    return found.corners, found.beams, found.wall
-
-
-def count_scans(
-    finished: Finished, associator: Associator, looks: list[Look], sigma: tuple[float, float], errors: Array
-) -> Figures:
-    """Counts of one associator on the scans, with `errors` (n,3) of the pose in units of sigma."""
-    sigmas = np.array([sigma[0], sigma[0], math.radians(sigma[1])])
-    mapped = finished.identity[finished.pipeline.filter.ids]
-    counts = {"scans": len(looks), "right": 0, "possible": 0, "pairs": 0, "wrong": 0, "polygon": 0}
-    seconds = []
-    for seen, error in zip(looks, errors, strict=True):
-        view, belief = rough_view(finished.pipeline, seen.T_map_robot + error * sigmas, sigmas, len(seen.corners))
-        if isinstance(associator, KissPointsAssociator) and seen.beams is not None:
-            associator.look_at(seen.beams, finished.pipeline.grid.canvas.grid)
-        begun = time.perf_counter()
-        match = associator.associate(seen.corners, seen.polygons, view, belief)
-        seconds.append(time.perf_counter() - begun)
-        pairs, wrong = judged(finished, seen, match)
-        counts["right"] += pairs - wrong >= RIGHT_PAIRS and not wrong
-        counts["possible"] += int((np.isin(seen.true, mapped) & (seen.true >= 0)).sum()) >= RIGHT_PAIRS
-        counts["pairs"] += pairs
-        counts["wrong"] += wrong
-        counts["polygon"] += match.polygon >= 0
-    return {**counts, "ms": 1e3 * float(np.median(seconds))}
-
-
-def rough_view(pipeline: SlamPipeline, T_map_robot: Array, sigmas: Array, corners: int) -> tuple[MapView, Filter]:
-    """What an associator sees of a map at a pose (3,) with sigmas (3,), the room unknown; and the filter there."""
-    belief = pipeline.filter.copy()
-    belief.set_pose(T_map_robot, np.diag(sigmas**2))
-    graph = replace(pipeline.rooms.graph(), current=UNKNOWN_ROOM, in_doorway=False)
-    through = np.full(corners, -1)
-    return pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1), belief
-
-
-def judged(finished: Finished, seen: Look, match: Match) -> tuple[int, int]:
-    """How many pairs a match has, and how many of them are wrong."""
-    paired = match.recognised()
-    claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
-    return len(paired), len(paired) - int(((claimed == true) & (true >= 0)).sum())
+    return Course(place(layout, FIRST_BUILDING + seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
 def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
     """Results of all drives of a set, with 95 % intervals over drives."""
-    return {
-        name: {sigma: figures_of([drive[name][sigma] for drive in drives]) for sigma in drives[0][name]}
-        for name in drives[0]
-        if all(name in drive for drive in drives)  # the package of a row may not be installed everywhere
-    }
-
-
-def figures_of(drives: list[Figures]) -> Figures:
-    """Results of one variant at one sigma."""
-    counts = columns_of(drives)
-    return {
-        **ratios(counts, right="right/scans", possible="possible/scans", wrong="wrong/pairs"),
-        "wrong_pairs": int(counts["wrong"].sum()),
-        **ratios(counts, polygon="polygon/scans"),
-        **means(counts, "ms"),
-        "scans": int(counts["scans"].sum()),
-    }
+    rows = by_row(drives)  # the package of a row may not be installed everywhere
+    return {name: {sigma: figures_of(of) for sigma, of in by_row(own).items()} for name, own in rows.items()}
 
 
 def report(figures: Figures) -> str:

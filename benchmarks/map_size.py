@@ -20,15 +20,14 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop
 from benchmarks.clutter import cluttered
-from benchmarks.common import Figures, Gate, Options, best_of, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
+from benchmarks.rough_pose import front_end, rough_view
 from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
-from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import compose, inverse, to_robot
-from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import KINDS, SlamConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import MapPolygon
@@ -77,7 +76,8 @@ def step_ms(drive: Drive, name: str, count: int) -> list[float]:
     """Milliseconds of each step with a filter, CPU time of this thread."""
     pipeline, first = enlarged(drive, with_change(drive.slam, {"filter": {"kind": name}}), count)
     ms = []
-    for odometry, scan in zip(drive.odometry[first : first + SCANS], drive.scans[first : first + SCANS], strict=True):
+    part = drive.part(first, SCANS)
+    for odometry, scan in zip(part.odometry, part.scans, strict=True):
         assert odometry is not None
         start = time.thread_time()
         pipeline.step(odometry, scan)
@@ -88,28 +88,27 @@ def step_ms(drive: Drive, name: str, count: int) -> list[float]:
 def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     """Milliseconds of each decision in a map of so many landmarks."""
     pipeline, first = enlarged(drive, drive.slam, count)
-    associator = make_associator(with_change(drive.slam, associators()[name]).association)
+    associator = associators()[name].associator(drive.slam)
     rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
     for number in range(first, first + SCANS):
-        corners, beams, wall = loop.front_end(drive.scans[number], drive.slam)
+        corners, beams, wall = front_end(drive.scans[number], drive.slam)
         corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
         polygons = find_structure(corners, beams, drive.slam.polygon, wall)
         T_map_robot = compose(T_map_world, drive.T_world_robot[number])
-        view, belief = loop.rough_view(pipeline, T_map_robot + rng.normal(size=3) * SIGMAS, SIGMAS, len(corners))
+        view, belief = rough_view(pipeline, T_map_robot + rng.normal(size=3) * SIGMAS, SIGMAS, len(corners))
         ms.append(1e3 * best_of(partial(associator.associate, corners, polygons, view, belief), CALLS))
     return ms
 
 
 def enlarged(drive: Drive, slam: SlamConfig, count: int) -> tuple[SlamPipeline, int]:
     """An estimator on the drive with so many landmarks, and the number of the scan that comes next."""
-    pipeline, large = SlamPipeline(slam), False
-    for number, (odometry, scan) in enumerate(zip(drive.odometry, drive.scans, strict=True)):
-        if large:
-            return pipeline, number
-        large = len(pipeline.filter.ids) >= FIRST
-        if large:
+    pipeline = SlamPipeline(slam)
+    outputs = drive.outputs(pipeline)
+    for number, _ in enumerate(outputs, 1):
+        if len(pipeline.filter.ids) >= FIRST:
             enlarge(pipeline, count)
-        _ = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)  # divides a map into submaps
+            next(outputs)  # divides a map into submaps
+            return pipeline, number + 1
     raise ValueError(f"the drive has {len(pipeline.filter.ids)} landmarks, {FIRST} expected")
 
 

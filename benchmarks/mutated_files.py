@@ -20,11 +20,13 @@ from typing import Any
 
 import numpy as np
 
+from mecp_env.cli.demo import recipe_of
+from mecp_env.config import EnvConfig
 from mecp_env.evaluation.log_run import LogRunConfig, run_log
 from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import save_svg
 from mecp_env.logs import read_log
-from mecp_env.policies.suites import SUITES, checksum_of, read_submission
+from mecp_env.policies.suites import FORMAT, METRICS, SUITES, VERSION, checksum_of, leaderboard, read_submission
 from mecp_env.render.replay_page import read_page, write_page
 from mecp_env.slam import SlamMap, SlamPipeline
 from mecp_env.world.layout import load_layout
@@ -34,7 +36,7 @@ from tests.floorplans import plans
 from tests.floorplans.mutations import spoilt, spoilt_bytes, spoilt_json
 from tests.logs import test_fuzz
 from tests.logs.files import BEARINGS, CARMEN, drive, write_archive, write_bag, write_carmen
-from tests.slam.drives import Drive, scripted_drive
+from tests.slam.drives import Drive, fed, scripted_drive
 
 Rng = np.random.Generator
 FIRST, SCANS = 3, 4  # scans of a drive after a map was read
@@ -68,6 +70,11 @@ def text_or_bytes(path: Path, rng: Rng) -> bytes:
     return ways[int(rng.integers(len(ways)))](path.read_bytes(), random.Random(int(rng.integers(2**32))))
 
 
+def other_bytes(path: Path, rng: Rng) -> bytes:
+    """Other bytes of any file."""
+    return spoilt_bytes(path.read_bytes(), rng)
+
+
 def other_arrays(path: Path, rng: Rng) -> bytes:
     """An archive of which an array has other numbers, another type or shape; sometimes other bytes."""
     if rng.random() < 0.2:
@@ -96,7 +103,17 @@ def use_log(path: Path) -> None:
     json.dumps(run.metrics())
 
 
-def write_csv(folder: Path) -> Path:
+def text_file(name: str, text: Callable[[], str]) -> Callable[[Path], Path]:
+    """What writes a file with a text into a folder."""
+
+    def write(folder: Path) -> Path:
+        (folder / name).write_text(text())
+        return folder / name
+
+    return write
+
+
+def csv() -> str:
     """The drive as a table."""
     t, poses, ranges = drive()
     head = ",".join(["t", "x", "y", "heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
@@ -104,26 +121,23 @@ def write_csv(folder: Path) -> Path:
         ",".join(f"{value:.4f}" for value in (stamp, *pose, *row))
         for stamp, pose, row in zip(t, poses, ranges, strict=True)
     ]
-    (folder / "a.csv").write_text("\n".join([head, *rows, ""]))
-    return folder / "a.csv"
+    return "\n".join([head, *rows, ""])
 
 
-def write_dat(folder: Path) -> Path:
+def dat() -> str:
     """The drive as BreezySLAM has it."""
     t, _, ranges = drive()
     rows = [
         " ".join(map(str, [round(1e6 * s), k, 40 * k, 41 * k, *[0] * 20, *(1e3 * row).astype(int), 0]))
         for k, (s, row) in enumerate(zip(t, ranges, strict=True))
     ]
-    (folder / "a.dat").write_text("\n".join([*rows, ""]))
-    return folder / "a.dat"
+    return "\n".join([*rows, ""])
 
 
-def write_tum(folder: Path) -> Path:
+def tum() -> str:
     """The poses alone, which is no log of a laser."""
     rows = [f"{s} {x} {y} 0 0 0 {np.sin(h / 2)} {np.cos(h / 2)}" for s, (x, y, h) in zip(*drive()[:2], strict=True)]
-    (folder / "a.tum").write_text("\n".join(rows))
-    return folder / "a.tum"
+    return "\n".join(rows)
 
 
 def use_plan(path: Path) -> None:
@@ -134,31 +148,12 @@ def use_plan(path: Path) -> None:
     assert load_layout(json.loads(layout.to_json())) == layout
 
 
-def write_layout(folder: Path) -> Path:
-    """A shipped layout."""
-    (folder / "a.json").write_text(load_layout("furnished").to_json())
-    return folder / "a.json"
-
-
-def write_house(folder: Path) -> Path:
-    """A floor plan in the format of HouseExpo."""
-    (folder / "house.json").write_text(json.dumps(plans.house()))
-    return folder / "house.json"
-
-
 @cache
 def mapped() -> tuple[Drive, SlamPipeline]:
     """A short drive, and the estimator after it."""
     short, pipeline = scripted_drive(), SlamPipeline()
-    feed(pipeline, short, 0, 30)
+    list(fed(pipeline, short, 0, 30))
     return short, pipeline
-
-
-def feed(pipeline: SlamPipeline, of: Drive, first: int, last: int) -> Any:
-    """Feed a part of a drive; the last output."""
-    for odometry, scan in zip(of.odometry[first:last], of.scans[first:last], strict=True):
-        output = pipeline.start(scan) if odometry is None else pipeline.step(odometry, scan)
-    return output
 
 
 def write_map(folder: Path) -> Path:
@@ -178,7 +173,7 @@ def other_fields(path: Path, rng: Rng) -> bytes:
 def use_map(path: Path) -> None:
     """Go on in a map, and write it again."""
     pipeline = SlamPipeline.from_map(path)
-    output = feed(pipeline, mapped()[0], FIRST, FIRST + SCANS)
+    *_, output = fed(pipeline, mapped()[0], FIRST, FIRST + SCANS)
     assert output.diverged or np.isfinite(output.belief.T_map_robot).all()
     pipeline.save_map(path.with_name("again.zip"))
 
@@ -207,19 +202,16 @@ def use_page(path: Path) -> None:
     write_page(read_page(path), path.with_name("again.html"))
 
 
-def write_result(folder: Path) -> Path:
+def result() -> str:
     """A result of a suite, of one episode."""
     name, suite = next(iter(SUITES.items()))
     setting = suite.settings[0]
-    from mecp_env.policies.suites import FORMAT, METRICS, VERSION
-
     figures = {metric: {"value": 0.5, "low": 0.4, "high": 0.6} for metric in METRICS}
     row = {"task": setting.task or setting.difficulty, "policy": "mine", "estimator": "slam", "figures": figures}
     row |= {"episodes": [{"building": 0} | dict.fromkeys(METRICS, 0.5)]}
     content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "suite": name, "hash": suite.frozen}
     content |= {"command": "x", "commit": "", "hours": None, "seeds": None, "results": [row]}
-    (folder / "a.json").write_text(json.dumps(content | {"checksum": checksum_of(content)}))
-    return folder / "a.json"
+    return json.dumps(content | {"checksum": checksum_of(content)})
 
 
 def other_result(path: Path, rng: Rng) -> bytes:
@@ -237,30 +229,17 @@ def other_result(path: Path, rng: Rng) -> bytes:
 
 def use_result(path: Path) -> None:
     """Read a result, and print a table of it."""
-    from mecp_env.policies.suites import leaderboard
-
     assert leaderboard({path.name: read_submission(path)}).startswith("|")
 
 
-def write_recipe(folder: Path) -> Path:
+def recipe() -> str:
     """The configuration of a run of `demo`."""
-    from mecp_env.config import EnvConfig
-
-    recipe = {"seed": 3, "policy": "breadth_first", "config": EnvConfig(max_steps=3).to_dict()}
-    (folder / "config.json").write_text(json.dumps(recipe))
-    return folder / "config.json"
+    return json.dumps({"seed": 3, "policy": "breadth_first", "config": EnvConfig(max_steps=3).to_dict()})
 
 
 def use_recipe(path: Path) -> None:
     """Read it as `replay` does."""
-    from mecp_env.cli.demo import recipe_of
-    from mecp_env.config import EnvConfig
-
     EnvConfig.build(recipe_of(path.parent)["config"])
-
-
-def _svg(folder: Path) -> Path:
-    return save_svg(load_layout("two_rooms"), folder / "a.svg")
 
 
 KINDS: dict[str, Kind] = {
@@ -271,19 +250,23 @@ KINDS: dict[str, Kind] = {
         )
         for line in ("flaser", "robotlaser", "rawlaser")
     },
-    "log csv": Kind(write_csv, text_or_bytes, use_log),
-    "log dat": Kind(write_dat, text_or_bytes, use_log),
-    "log tum": Kind(write_tum, text_or_bytes, use_log),
+    "log csv": Kind(text_file("a.csv", csv), text_or_bytes, use_log),
+    "log dat": Kind(text_file("a.dat", dat), text_or_bytes, use_log),
+    "log tum": Kind(text_file("a.tum", tum), text_or_bytes, use_log),
     "log bag": Kind(lambda folder: write_bag(folder / "a.bag"), text_or_bytes, use_log),
     "log mcap": Kind(lambda folder: write_bag(folder / "a.mcap"), text_or_bytes, use_log),
-    "plan layout": Kind(write_layout, spoilt, use_plan),
-    "plan house": Kind(write_house, spoilt, use_plan),
+    "plan layout": Kind(text_file("a.json", lambda: load_layout("furnished").to_json()), spoilt, use_plan),
+    "plan house": Kind(text_file("house.json", lambda: json.dumps(plans.house())), spoilt, use_plan),
     "plan yaml": Kind(lambda folder: plans.map_pair(folder, plans.two_rooms_picture()), spoilt, use_plan),
     "plan png": Kind(lambda folder: plans.save(plans.corridor_picture(), folder / "a.png"), spoilt, use_plan),
-    "plan svg": Kind(_svg, lambda path, rng: spoilt_bytes(path.read_bytes(), rng), use_plan),
-    "map bytes": Kind(write_map, lambda path, rng: spoilt_bytes(path.read_bytes(), rng), use_map),
+    "plan svg": Kind(
+        lambda folder: save_svg(load_layout("two_rooms"), folder / "a.svg"),
+        other_bytes,
+        use_plan,
+    ),
+    "map bytes": Kind(write_map, other_bytes, use_map),
     "map fields": Kind(write_map, other_fields, use_map),
     "replay page": Kind(write_replay, other_page, use_page),
-    "result": Kind(write_result, other_result, use_result),
-    "run": Kind(write_recipe, spoilt, use_recipe),
+    "result": Kind(text_file("a.json", result), other_result, use_result),
+    "run": Kind(text_file("config.json", recipe), spoilt, use_recipe),
 }

@@ -7,7 +7,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from benchmarks.mutated_files import FIRST, SCANS, feed, mapped
+from benchmarks.mutated_files import FIRST, SCANS, mapped
 from mecp_env.config import EnvConfig, merge
 from mecp_env.evaluation.log_run import LogRunConfig
 from mecp_env.floorplans.options import PlanOptions
@@ -15,6 +15,7 @@ from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.layout import LIBRARY
 from tests.floorplans.mutations import VALUES
+from tests.slam.drives import fed
 
 Rng = np.random.Generator
 STEPS = 5
@@ -138,7 +139,7 @@ def use_slam(rng: Rng) -> str:
 
     def call() -> None:
         LogRunConfig(**({"rest_m": odd(rng)} if rng.random() < 0.1 else {}))
-        output = feed(SlamPipeline(given), mapped()[0], 0, FIRST + SCANS)
+        *_, output = fed(SlamPipeline(given), mapped()[0], 0, FIRST + SCANS)
         assert output.diverged or np.isfinite(output.belief.T_map_robot).all()
 
     return tried(f"{given!r:.200}", call)

@@ -27,25 +27,18 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.columns import columns_of, means, precision_and_recall, ratios
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
-from benchmarks.drives import Drive, replay
+from benchmarks.common import Figures, Gate, Options, load_modules, runs_of, share
+from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, ONE_PASS, WITHOUT_POLYGONS, Variant, own_rows, rival, with_change
-from mecp_env.core.intervals import share
+from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
+from benchmarks.variants import DEFAULT, Variant, own_rows, replays, rows_of
 from mecp_env.core.sensors import Odometry, Scan
 
 LAYOUT = "paper"
-VARIANTS: dict[str, Variant] = {
-    DEFAULT: Variant(),
-    "mecp without polygons": WITHOUT_POLYGONS,
-    "mecp in one pass": ONE_PASS,
-    "jcbb with descriptor": rival("jcbb with descriptor"),
-    "ccda with descriptor": rival("ccda with descriptor"),
-    "known": Variant({"association": {"method": "known"}, "tracks": {"merge": False}}),
-}
+VARIANTS = rows_of(
+    *(DEFAULT, "mecp without polygons", "mecp in one pass", "jcbb with descriptor", "ccda with descriptor", "known")
+)
 
 
 def narrowed(scan: Scan, degrees: float) -> Scan:
@@ -122,26 +115,23 @@ def run(options: Options) -> Figures:
     drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
     in_turn = sorted(drives, key=lambda drive: (drive[1], source(drive[0])))  # cells of one recording in succession
     results = on_records(compare, dict[str, Figures], in_turn, options)
-    return {
-        cell: {name: summarise([of[name] for of in results[cell]]) for name in all_variants()} for cell in dict(drives)
-    }
+    return {cell: {name: summarise(own) for name, own in by_row(results[cell]).items()} for cell in dict(drives)}
 
 
 def all_variants() -> dict[str, Variant]:
     """The rows, with those of parts that modules have registered."""
-    return VARIANTS | {name: Variant(change) for name, change in own_rows().items()}
+    return VARIANTS | own_rows()
 
 
 def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each variant on one drive of a cell."""
-    cell, seed = task
+    return {name: outcome.counts for name, outcome in replays(drive_of(*task, records), all_variants()).items()}
+
+
+def drive_of(cell: str, seed: int, records: Records) -> Drive:
+    """A drive of a cell."""
     drive = recorded(source(cell), seed, records)
-    if cell in CHANGED:
-        drive = CHANGED[cell](drive, seed)
-    return {
-        name: replay(drive, with_change(drive.slam, variant.change), variant.make).counts
-        for name, variant in all_variants().items()
-    }
+    return CHANGED[cell](drive, seed) if cell in CHANGED else drive
 
 
 def source(cell: str) -> str:

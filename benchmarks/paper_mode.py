@@ -12,13 +12,11 @@ from __future__ import annotations
 from typing import Any
 
 from benchmarks import association
-from benchmarks.association import IDEAL, LETTER
-from benchmarks.columns import columns_of, ratios
+from benchmarks.association import IDEAL
 from benchmarks.common import Figures, Gate, Options, runs_of
-from benchmarks.drives import replay
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table_of
-from benchmarks.variants import DEFAULT, with_change
+from benchmarks.tables import by_row, columns_of, ratios, sections, table_of
+from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
 SEEDS = {"paper": 60, IDEAL: 15}
 SETS, MOST = tuple(SEEDS), 1000
@@ -29,6 +27,13 @@ CHANGES: dict[str, dict[str, Any]] = {  # one choice at a time
     "descriptor": {"use_descriptor": True},
     "no polygons": {"method": "nearest_room"},
 }
+ROWS = {
+    **rows_of(DEFAULT, RULE),
+    **{f"{RULE}, {name}": changed(RULE, {"association": change}) for name, change in CHANGES.items()},
+    **rows_of(LETTER),
+    DOBKIN: changed(LETTER, {"polygon": {"structure": "dobkin"}}),
+    **rows_of("nearest"),
+}
 COLUMNS = ("precision", "recall", "closure_recall", "false_closures", "duplicates_per_corner", "swapped_per_1000")
 COLUMNS += ("found", "recognised", "rmse_m", "map_rmse_m", "nees", "landmark_nees", "lost")
 
@@ -38,32 +43,15 @@ GATES = (
 )
 
 
-def rows() -> dict[str, dict[str, Any]]:
-    """What is compared, and what each changes in the default estimator."""
-    known = association.methods()
-    paper, letter = known[RULE]["association"], known[LETTER]
-    return {
-        **{name: known[name] for name in (DEFAULT, RULE)},
-        **{f"{RULE}, {name}": {"association": paper | change} for name, change in CHANGES.items()},
-        LETTER: letter,
-        DOBKIN: letter | {"polygon": letter["polygon"] | {"structure": "dobkin"}},
-        "nearest": known["nearest"],
-    }
-
-
 def run(options: Options) -> Figures:
     """Results of both readings and every row."""
     runs = on_records(measure, dict[str, Figures], runs_of(options, SEEDS, MOST, 2), options)
-    return {layout: {name: summary([run[name] for run in of]) for name in rows()} for layout, of in runs.items()}
+    return {layout: {name: summary(own) for name, own in by_row(of).items()} for layout, of in runs.items()}
 
 
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each row on the drive of one layout and seed."""
-    drive = records.drive(association.course(*drive_of))
-    return {
-        name: association.counts(drive, replay(drive, with_change(drive.slam, change)))
-        for name, change in rows().items()
-    }
+    return association.counted(records.drive(association.course(*drive_of)), ROWS)
 
 
 def summary(runs: list[Figures]) -> Figures:

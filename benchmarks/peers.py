@@ -23,11 +23,10 @@ import numpy as np
 import shapely
 import yaml
 
-from benchmarks.common import Figures, in_turns
+from benchmarks.common import Figures, in_turns, ratio
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import ratio
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
 

@@ -2,27 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
 from mecp_env.core.carriers import Array
+from mecp_env.floorplans import load_plan
 from mecp_env.world.schema import Layout
 
+PIXEL_M = 0.05  # of the labels
 LEAST_M2 = 2.0  # smaller labelled rooms need not be found
 MATCH = 0.5  # IoU above which an imported room is a labelled one; no room can then match two
 
 
-@dataclass(frozen=True, slots=True)
-class RoomScore:
+class RoomScore(NamedTuple):
     """How many labelled rooms of at least `LEAST_M2` there are and how many are found; rooms that match no label."""
 
     labelled: int
     found: int
     imported: int
     false: int
+
+
+def score_plan(path: Path) -> RoomScore:
+    """The score of a plan that has an image with labels beside it."""
+    labels = np.asarray(Image.open(path.with_suffix(".rooms.png")), np.int32)
+    return score_rooms(load_plan(path), labels, PIXEL_M)
 
 
 def room_pixels(layout: Layout, shape: tuple[int, int], resolution_m: float) -> NDArray[np.int32]:

@@ -11,8 +11,7 @@ import re
 import sys
 from pathlib import Path
 
-from benchmarks.common import RESULTS
-from mecp_env.core.intervals import Figures
+from benchmarks.common import RESULTS, Figures
 from mecp_env.policies import suites
 from mecp_env.policies.report import cell, markdown_table
 

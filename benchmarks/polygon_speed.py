@@ -13,8 +13,8 @@ from typing import TypeVar
 
 import numpy as np
 
-from benchmarks.common import Figures
-from benchmarks.loop import front_end
+from benchmarks.common import Figures, estimate
+from benchmarks.rough_pose import front_end
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.slam.config import PolygonConfig, SlamConfig
 from mecp_env.slam.mecp.cycles import order_by_bearing
@@ -29,6 +29,7 @@ Item = TypeVar("Item")
 SeenScan = tuple[Corners, MergedScan, Bools]
 
 SITES = (5, 10, 15, 20, 30, 40)
+GROUPS = 5  # of sets of sites, over which an exponent spreads
 SIGMAS = np.full(max(SITES), 0.02)  # m
 LIMITS = PolygonConfig().record[0]
 BEAMS = EdgeBeams(
@@ -101,3 +102,15 @@ def median_us(call: Callable[[Item], object], items: Sequence[Item], repeats: in
             call(item)
         times.append((time.thread_time_ns() - start) * 1e-3 / repeats)
     return float(np.median(times))
+
+
+def exponents(sites: Sequence[int], sets: int) -> Figures:
+    """Slope of log time over log sites of the polygon search, with the spread over groups of sets of sites."""
+    return {f"exponent_{make.__name__}": estimate(slopes(make, sites, sets)) for make in (uniform, convex)}
+
+
+def slopes(make: Callable[[int, int], list[Array]], sites: Sequence[int], sets: int) -> list[float]:
+    """The slope in each group."""
+    items = {n: [by_bearing(points) for points in make(n, sets)] for n in sites}
+    groups = [[median_us(search, items[n][k::GROUPS]) for n in sites] for k in range(GROUPS)]
+    return [float(np.polyfit(np.log(sites), np.log(group), 1)[0]) for group in groups]

@@ -18,37 +18,31 @@ that knows it. `urg04lx`: explorations with that laser.
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from PIL import Image
 
 from benchmarks import noise, worlds
-from benchmarks.columns import of_visits
-from benchmarks.common import Figures, Gate, Options, chosen, shared_data
+from benchmarks.common import Figures, Gate, Options, chosen, share, shared_data
 from benchmarks.drives import replay
-from benchmarks.plan_scores import score_rooms
+from benchmarks.plan_scores import score_plan
 from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
-from benchmarks.real_maps import MapData, small_multiples
+from benchmarks.real_maps import MapData, caption, short, small_multiples
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table_of, turned
+from benchmarks.tables import columns_of, means, of_visits, ratios, sections, table_of, turned
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
-from mecp_env.core.intervals import estimate, ratio, share
 from mecp_env.floorplans import load_plan
 from mecp_env.world.outline import build_outline
-from mecp_env.wrappers import GoalActions
 
 PLANS, EXPLORED, VIEW = "plans", "explored", "view_180_deg"
 URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
 VIEW_DEG = 180.0
 KTH = "kth"  # the folder of the labelled plans
-PIXEL_M = 0.05  # of the labels
 STEPS_PER_M2 = 10.0
 MAPS = Path("runs/real")  # of each log, and of the first start in each plan
 COUNTS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
@@ -78,13 +72,15 @@ def run(options: Options) -> Figures:
     """Results of every set that there are data for."""
     counts = chosen(options.sets, COUNTS, MOST) or (QUICK if options.quick else COUNTS)
     skipped = {name: f"no {at}" for name in counts if (at := missing(name))}
-    for name, reason in skipped.items():
-        print(f"{name}: skipped, {reason}", file=sys.stderr)
+    sys.stderr.writelines(f"{name}: skipped, {reason}\n" for name, reason in skipped.items())
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
     results: dict[str, dict[str, list[Figures]]] = {}
     for (name, what), of_one in on_records(measure, dict[str, Any], tasks, options).items():
         results.setdefault(name, {})[what] = of_one
-    figures = {name: SUMMARIES[name](of_set) for name, of_set in results.items()}
+    figures = {
+        name: SUMMARIES[name](parts if name in (PLANS, EXPLORED) else next(iter(parts.values())))
+        for name, parts in results.items()
+    }
     return figures | ({"skipped": skipped} if skipped else {})
 
 
@@ -122,19 +118,12 @@ def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
     """The figures of one unit of work."""
     name, what, seed = task
     if name == PLANS:
-        return score(plans()[what])
+        return score_plan(plans()[what])._asdict()
     if name == EXPLORED:
         return explore(what, seed)
     if name in LOGS:
         return run_on_log(name, seed, None if what == "all" else int(what))
     return look_ahead(seed, records) if name == VIEW else explore_with_urg(name, seed)
-
-
-def score(path: Path) -> Figures:
-    """Rooms of a labelled plan."""
-    labels = np.asarray(Image.open(path.with_suffix(".rooms.png")), np.int32)
-    found = score_rooms(load_plan(path), labels, PIXEL_M)
-    return {"labelled": found.labelled, "found": found.found, "imported": found.imported, "false": found.false}
 
 
 def explore(plan: str, start: int) -> Figures:
@@ -143,7 +132,7 @@ def explore(plan: str, start: int) -> Figures:
     most = int(STEPS_PER_M2 * build_outline(layout).free_area.area)
     visit, env = explored(layout, start, most)
     if start == 0:
-        map_of(env).save(MAPS / f"{plan}.npz")
+        MapData.of_env(env).save(MAPS / f"{plan}.npz")
     return figures_of(visit) | {"step_limit": most}
 
 
@@ -157,15 +146,8 @@ def explore_with_urg(name: str, seed: int) -> Figures:
 def figures_of(visit: Visit) -> Figures:
     """The figures of an exploration."""
     final = {name: float(value) for name, value in visit.final.items()}
-    early = visit.terminated and not visit.seen
-    return final | {"seen": visit.seen, "complete": visit.outcome == "complete", "early": early}
-
-
-def map_of(env: GoalActions) -> MapData:
-    """What is drawn of an exploration, in the world frame."""
-    view = env.get_wrapper_attr("view")()
-    paths = {"reference": view.path_world, "path": view.to_world(view.path_map)}
-    return MapData.of_output(view.slam_output, view.T_world_map, segments=view.segments, **paths)
+    complete, early = visit.outcome == "complete", visit.terminated and not visit.seen
+    return final | {"seen": visit.seen, "complete": complete, "early": early}
 
 
 def run_on_log(name: str, seed: int, scans: int | None) -> Figures:
@@ -180,17 +162,16 @@ def run_on_log(name: str, seed: int, scans: int | None) -> Figures:
 
 def look_ahead(seed: int, records: Records = IN_MEMORY) -> Figures:
     """A drive on `paper` whose scans are cut to the field of view, for an estimator that knows it."""
-    drive = noise.recorded(noise.BASE, seed, records)
-    cut = replace(drive, scans=[noise.narrowed(scan, VIEW_DEG) for scan in drive.scans])
-    return replay(cut, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
+    drive = noise.drive_of(VIEW, seed, records)
+    return replay(drive, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
 
 
 def summarise_plans(results: Mapping[str, list[Figures]]) -> Figures:
     """Rooms of each plan, and of all together with the interval over plans."""
     each = {plan: scores[0] for plan, scores in results.items()}
-    of = {name: [scores[name] for scores in each.values()] for name in next(iter(each.values()))}
-    both = {"found": ratio(of["found"], of["labelled"]), "false": ratio(of["false"], of["imported"])}
-    return {"all": both | {name: sum(of[name]) for name in ("labelled", "imported")}, **each}
+    of = columns_of(list(each.values()))
+    both = ratios(of, found="found/labelled", false="false/imported")
+    return {"all": both | {name: int(of[name].sum()) for name in ("labelled", "imported")}, **each}
 
 
 def summarise_explored(results: Mapping[str, list[Figures]]) -> Figures:
@@ -208,32 +189,26 @@ def summarise_visits(visits: list[Figures]) -> Figures:
     return figures | {"pose_rmse_worst_m": worst, "free_area_m2": area}
 
 
-def only(results: Mapping[str, list[Figures]]) -> list[Figures]:
-    """The results of a set without parts."""
-    return next(iter(results.values()))
-
-
-def summarise_view(results: Mapping[str, list[Figures]]) -> Figures:
+def summarise_view(drives: list[Figures]) -> Figures:
     """As in `noise`, with the share of scans that have a polygon."""
-    return noise.summarise(only(results)) | {"polygon_share": estimate([d["polygon_share"] for d in only(results)])}
+    return noise.summarise(drives) | means(columns_of(drives), "polygon_share")
 
 
-SUMMARIES: dict[str, Any] = {
+SUMMARIES: dict[str, Any] = {  # of the results by plan, or of those of a set without parts
     PLANS: summarise_plans,
     EXPLORED: summarise_explored,
-    **dict.fromkeys(LOGS, lambda results: summarise_log(only(results))),
+    **dict.fromkeys(LOGS, summarise_log),
     VIEW: summarise_view,
-    **dict.fromkeys(URG, lambda results: summarise_visits(only(results))),
+    **dict.fromkeys(URG, summarise_visits),
 }
 
 
 def report(figures: Figures) -> str:
     """A table for the plans, the explorations, the logs and the lasers."""
     skipped = [f"{name}, {why}" for name, why in figures.get("skipped", {}).items()]
-    logs = {name: figures[name] for name in LOGS if name in figures}
-    lasers = {name: figures[name] for name in URG if name in figures}
-    tables = {"Explorations": figures.get(EXPLORED, {}), "Logs": logs, "URG-04LX, breadth first": lasers}
-    tables["View of 180 degrees on paper"] = {name: figures[name] for name in (VIEW,) if name in figures}
+    sets = {"Logs": LOGS, "URG-04LX, breadth first": URG, "View of 180 degrees on paper": (VIEW,)}
+    tables = {title: {name: figures[name] for name in names if name in figures} for title, names in sets.items()}
+    tables = {"Explorations": figures.get(EXPLORED, {}), **tables}
     parts = {title: turned(of, [short(name) for name in of]) for title, of in tables.items() if of}
     if PLANS in figures:
         rooms = table_of("plan", ("labelled", "found", "imported", "false"), figures[PLANS])
@@ -241,35 +216,9 @@ def report(figures: Figures) -> str:
     return "\n\n".join([*(f"Skipped: {text}." for text in skipped), sections(parts)])
 
 
-def short(name: str) -> str:
-    """A name that fits in a column."""
-    return name if len(name) <= 20 else f"{name[:8]}..."
-
-
 def figure(figures: Figures) -> Figure:
     """The map of each log, and of the first start in each plan."""
-    names: Iterable[str] = [*(name for name in LOGS if name in figures), *figures.get(EXPLORED, {})]
+    names = [name for name in (*LOGS, *figures.get(EXPLORED, {})) if name in figures or name not in LOGS]
     return small_multiples(
         {caption(figures, name): MapData.load(MAPS / f"{name}.npz") for name in names if name != KTH}
     )
-
-
-def caption(figures: Figures, name: str) -> str:
-    """What is said above a map."""
-    if name not in LOGS:
-        of = figures[EXPLORED][name]
-        return f"{short(name)}: {of['free_area_m2']:,.0f} m2, pose RMSE {100.0 * of['pose_rmse_m']['value']:.1f} cm"
-    said = [f"{text} {mean(figures[name][key]):.2f} m" for key, text in SAID.items() if key in figures[name]]
-    return f"{name}, {mean(figures[name]['log_share']):.0%} of the log: {', '.join(said)}"
-
-
-SAID = {
-    "final_relations_m": "final relations",
-    "final_ate_m": "final trajectory error",
-    "dead_reckoning_ate_m": "dead reckoning",
-}
-
-
-def mean(figure: Any) -> float:
-    """An estimate or a number as a number."""
-    return float(figure["value"] if isinstance(figure, dict) else figure)

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks import karto
-from benchmarks.common import Figures
+from benchmarks.common import Figures, estimate
 from benchmarks.real_maps import MapData
-from mecp_env.core.intervals import estimate
 from mecp_env.core.se2 import composed
 from mecp_env.evaluation.calibration import calibrate_log
 from mecp_env.evaluation.log_run import LogRun, LogRunConfig, config_for, run_log

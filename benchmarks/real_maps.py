@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
-from typing import NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
+from benchmarks.common import Figures
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import to_map
 from mecp_env.render import palette
@@ -21,6 +22,11 @@ from mecp_env.slam.output import SlamOutput
 COLUMNS = 3
 WIDTH_IN, HEIGHT_IN = 5.0, 3.6  # of one map
 SCALE_M = 5.0  # length of the bar in each map
+SAID = {  # of a log, above its map
+    "final_relations_m": "final relations",
+    "final_ate_m": "final trajectory error",
+    "dead_reckoning_ate_m": "dead reckoning",
+}
 
 
 class MapData(NamedTuple):
@@ -42,6 +48,13 @@ class MapData(NamedTuple):
         doors = np.array([p[belief.rows(np.array(face))] for face in faces]).reshape(-1, 2, 2)
         empty = {"segments": np.empty((0, 2, 2)), "cells": np.empty((0, 2))}
         return cls(**empty | known | {"landmarks": p, "doors": doors})
+
+    @classmethod
+    def of_env(cls, env: Any) -> Self:
+        """What is drawn of an exploration, in the world frame."""
+        view = env.get_wrapper_attr("view")()
+        paths = {"reference": view.path_world, "path": view.to_world(view.path_map)}
+        return cls.of_output(view.slam_output, view.T_world_map, segments=view.segments, **paths)
 
     def save(self, path: Path) -> None:
         """Write the map as a NumPy archive."""
@@ -84,3 +97,22 @@ def draw(axes: Axes, drawn: MapData) -> None:
     axes.autoscale_view()
     (left, _), (low, _) = axes.get_xlim(), axes.get_ylim()
     axes.plot([left, left + SCALE_M], [low, low], color=unit(palette.INK), linewidth=2.0, label=f"{SCALE_M:g} m")
+
+
+def short(name: str) -> str:
+    """A name that fits in a column."""
+    return name if len(name) <= 20 else f"{name[:8]}..."
+
+
+def caption(figures: Figures, name: str) -> str:
+    """What is said above a map."""
+    if name not in figures:
+        of = figures["explored"][name]
+        return f"{short(name)}: {of['free_area_m2']:,.0f} m2, pose RMSE {100.0 * of['pose_rmse_m']['value']:.1f} cm"
+    said = [f"{text} {mean(figures[name][key]):.2f} m" for key, text in SAID.items() if key in figures[name]]
+    return f"{name}, {mean(figures[name]['log_share']):.0%} of the log: {', '.join(said)}"
+
+
+def mean(figure: Any) -> float:
+    """An estimate or a number as a number."""
+    return float(figure["value"] if isinstance(figure, dict) else figure)

@@ -11,11 +11,10 @@ import time
 from pathlib import Path
 
 from benchmarks.browser import Browser, chromium
-from benchmarks.common import Figures, Gate, OptionError, Options
+from benchmarks.common import Figures, Gate, OptionError, Options, estimate
 from benchmarks.tables import table
 from mecp_env.cli.runs import Run
 from mecp_env.config import EnvConfig
-from mecp_env.core.intervals import estimate
 from mecp_env.env import MecpEnv
 from mecp_env.render.replay_page import write_page
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Callable
 from functools import lru_cache
 from pathlib import Path
 from typing import Any
@@ -38,16 +39,34 @@ def failure_of(number: int, rng: np.random.Generator, slam: dict[str, Any]) -> s
     """What is wrong with a run on a log, empty when nothing is."""
     path = logs_at_hand()[int(rng.integers(len(logs_at_hand())))]
     steps, lost = int(rng.integers(1, MOST)), bool(rng.random() < 0.2)
+    return described(
+        f"{number}: {path.name} {slam} after {steps} scans{', lost' * lost}",
+        lambda: fault_of(log_of(path), rng, slam, steps, lost),
+    )
+
+
+def described(what: str, fault_of: Callable[[], str]) -> str:
+    """What was run and what is wrong with it, empty when nothing is; an error of any kind is a finding, too."""
     try:
-        log = log_of(path)
-        part = LogRunConfig(odometry=str(rng.choice(sources(log))), first=int(rng.integers(len(log) - 2 * MOST)))
-        pipeline = run_log(log, config_for(log, slam), part.model_copy(update={"scans": steps})).pipeline
-        if lost:
-            pipeline.lose_pose()
-        fault = map_fault(log, pipeline, part.model_copy(update={"first": part.first + steps, "scans": MORE}))
-    except Exception as error:  # any error is a finding
+        fault = fault_of()
+    except Exception as error:
         fault = f"{type(error).__name__}: {error}"
-    return f"{number}: {path.name} {slam} after {steps} scans{', lost' * lost}: {fault}" if fault else ""
+    return f"{what}: {fault}" if fault else ""
+
+
+def fault_of(log: Log, rng: np.random.Generator, slam: dict[str, Any], steps: int, lost: bool) -> str:
+    """What differs between the estimator after a part of a log and the one of its saved map, now or further on."""
+    part = LogRunConfig(odometry=str(rng.choice(sources(log))), first=int(rng.integers(len(log) - 2 * MOST)))
+    pipeline = run_log(log, config_for(log, slam), part.model_copy(update={"scans": steps})).pipeline
+    if lost:
+        pipeline.lose_pose()
+    other, fault = restored(pipeline)
+    if fault:
+        return fault
+    rest = part.model_copy(update={"first": part.first + steps, "scans": MORE})
+    for each in (pipeline, other):
+        run_log(log, run=rest, pipeline=each)
+    return "" if same(encode(pipeline), encode(other)) else "another state after it"
 
 
 def sources(log: Log) -> list[str]:
@@ -56,18 +75,14 @@ def sources(log: Log) -> list[str]:
     return [name for name, is_there in there.items() if is_there]
 
 
-def map_fault(log: Log, pipeline: SlamPipeline, rest: LogRunConfig) -> str:
-    """What differs between a pipeline and the one of its saved map, now or after the rest of a log."""
+def restored(owner: Any) -> tuple[SlamPipeline, str]:
+    """The estimator of the map that an environment or estimator saves, and what differs when it is saved again."""
     with tempfile.TemporaryDirectory() as folder:
         first, second = Path(folder) / "map.zip", Path(folder) / "again.zip"
-        pipeline.save_map(first)
+        owner.save_map(first)
         other = SlamPipeline.from_map(first)
         other.save_map(second)
-        if first.read_bytes() != second.read_bytes():
-            return "another map"
-    for each in (pipeline, other):
-        run_log(log, run=rest, pipeline=each)
-    return "" if same(encode(pipeline), encode(other)) else "another state after it"
+        return other, "" if first.read_bytes() == second.read_bytes() else "another map"
 
 
 def same(first: Any, second: Any) -> bool:

@@ -18,9 +18,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, Gate, Options, buildings_of, grouped, in_parallel
+from benchmarks.common import Figures, Gate, Options, buildings_of, correlation, estimate, grouped, in_parallel, ratio
 from benchmarks.tables import table
-from mecp_env.core.intervals import correlation, estimate, ratio
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
 from mecp_env.policies.rollout import EpisodeTask, run_episode
@@ -72,11 +71,6 @@ def policies_of(name: str, options: Options) -> tuple[str, ...]:
     return tuple(given)
 
 
-def metric_of(name: str) -> str:
-    """The headline metric of a task."""
-    return CORRECT if name in TASKS else COVERAGE
-
-
 def episode(unit: Unit) -> dict[str, float]:
     """Return and metrics of one episode."""
     name, policy, policy_sum, building = unit
@@ -89,7 +83,7 @@ def summarise(name: str, policies: Mapping[str, list[dict[str, float]]]) -> Figu
     """How return and metric agree in a task."""
     returns, metric = (
         {policy: np.array([each[key] for each in episodes]) for policy, episodes in policies.items()}
-        for key in ("reward", metric_of(name))
+        for key in ("reward", CORRECT if name in TASKS else COVERAGE)
     )
     pairs = list(combinations(policies, 2))
     apart = [pair for pair in pairs if is_apart(metric, pair)]

@@ -15,13 +15,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.columns import columns_of, means, precision_and_recall
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, runs_of, share
 from benchmarks.drives import replay
-from benchmarks.loop import HARD
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import table_of
-from mecp_env.core.intervals import share
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
+from benchmarks.tables import columns_of, means, precision_and_recall, table_of
 from mecp_env.slam.config import chi2_of_point
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950
@@ -56,8 +53,8 @@ def run(options: Options) -> Figures:
 def course(name: str, seed: int) -> Course:
     """What is driven with a sensor."""
     layout = LAYOUTS[seed % len(LAYOUTS)]
-    place = f"{HARD}:{FIRST_BUILDING + seed}" if layout == HARD else layout
-    return Course(place, FIRST_SEED + seed, {"estimator": "truth", "max_steps": MAX_STEPS, **ROWS[name]})
+    where = place(layout, FIRST_BUILDING + seed)
+    return Course(where, FIRST_SEED + seed, {"estimator": "truth", "max_steps": MAX_STEPS, **ROWS[name]})
 
 
 def counted(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> Figures:

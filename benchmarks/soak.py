@@ -21,12 +21,11 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, show_progress
+from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, ratio, show_progress
 from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
-from benchmarks.tables import listed, turned
+from benchmarks.tables import columns_of, listed, turned
 from benchmarks.vector import HELD
-from mecp_env.core.intervals import ratio
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16
 SETTING: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 200}
@@ -49,15 +48,9 @@ GATES = tuple(Gate(f"{name}/{figure}", "bound", most) for name in SETS for figur
 
 @dataclass(slots=True)
 class Soak:
-    """What was watched, a number per slice of the run."""
+    """What was watched."""
 
-    steps: list[int] = field(default_factory=list)  # control steps
-    seconds: list[float] = field(default_factory=list)
-    processor_s: list[float] = field(default_factory=list)
-    memory_mb: list[float] = field(default_factory=list)
-    files: list[int] = field(default_factory=list)
-    segments: list[int] = field(default_factory=list)
-    episodes: list[int] = field(default_factory=list)  # that ended
+    slices: list[dict[str, float]] = field(default_factory=list)  # control steps, seconds, memory ... of each
     wrong: int = 0  # observations that are not finite or outside their space
     left_behind: int = 0  # workers, files and segments after closing
 
@@ -136,13 +129,9 @@ def watch(driver: Any, steps: int, watched: Soak) -> None:
         parts.append(drive(driver, max(steps // SAMPLES, 1), watched))
         memory.append(own_memory_mb(pids))
     counted, episodes = map(sum, zip(*parts, strict=True))
-    watched.steps.append(counted)
-    watched.episodes.append(episodes)
-    watched.seconds.append(time.perf_counter() - start)
-    watched.processor_s.append(processor_s(pids) - spent)
-    watched.memory_mb.append(float(np.mean(memory)))
-    watched.files.append(open_files(pids))
-    watched.segments.append(shared_segments(pids))
+    used = {"seconds": time.perf_counter() - start, "processor_s": processor_s(pids) - spent}
+    used |= {"steps": counted, "episodes": episodes, "memory_mb": float(np.mean(memory))}
+    watched.slices.append(used | {"files": open_files(pids), "segments": shared_segments(pids)})
 
 
 def drive(driver: Any, steps: int, watched: Soak, least: int = 0) -> tuple[int, int]:
@@ -162,18 +151,20 @@ def sound(space: Any, observation: dict[str, Any]) -> bool:
 
 def summarise(soak: Soak) -> Figures:
     """The figures of a run: first and last tenth, and what must be none."""
-    first, last = slice(0, TENTH), slice(-TENTH, None)
-    per_step = np.array(soak.processor_s) / soak.steps
-    rate = [float(np.sum(soak.steps[tenth]) / np.sum(soak.seconds[tenth])) for tenth in (first, last)]
+    of, first, last = columns_of(soak.slices), slice(0, TENTH), slice(-TENTH, None)
+    per_step = of["processor_s"] / of["steps"]
+    rate = [float(of["steps"][tenth].sum() / of["seconds"][tenth].sum()) for tenth in (first, last)]
+    memory = [float(of["memory_mb"][tenth].mean()) for tenth in (first, last)]
+    files, segments = ([int(of[name][tenth].max()) for tenth in (first, last)] for name in ("files", "segments"))
     return {
-        "steps": sum(soak.steps),
-        "episodes": sum(soak.episodes),
-        "memory_mb": float(np.mean(soak.memory_mb[last])),
-        "growth_mb": float(np.mean(soak.memory_mb[last]) - np.mean(soak.memory_mb[first])),
-        "files": max(soak.files[last]),
-        "more_files": max(soak.files[last]) - max(soak.files[first]),
-        "segments": max(soak.segments[last]),
-        "more_segments": max(soak.segments[last]) - max(soak.segments[first]),
+        "steps": int(of["steps"].sum()),
+        "episodes": int(of["episodes"].sum()),
+        "memory_mb": memory[1],
+        "growth_mb": memory[1] - memory[0],
+        "files": files[1],
+        "more_files": files[1] - files[0],
+        "segments": segments[1],
+        "more_segments": segments[1] - segments[0],
         "wrong_observations": soak.wrong,
         "left_behind": soak.left_behind,
         "steps_per_s_first": rate[0],

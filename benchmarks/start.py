@@ -12,10 +12,9 @@ import sys
 import tempfile
 from pathlib import Path
 
-from benchmarks.common import Figures, Gate, Options
+from benchmarks.common import Figures, Gate, Options, estimate
 from benchmarks.tables import table_of
-from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, end_group, environment_of
-from mecp_env.core.intervals import estimate
+from benchmarks.trees import WORKING_TREE, TreeError, checkout, command, started
 
 RUNS = 3
 QUICK_RUNS = 1
@@ -36,21 +35,13 @@ def run(options: Options) -> Figures:
 
 def first_start(name: str, tree: Path) -> Figures:
     """CPU and wall seconds of one first start, and how many files its cache has then. Raises `TreeError`."""
-    with tempfile.TemporaryDirectory(prefix="mecp_env-cache-") as cache:
-        cost = str(Path(__file__).with_name("cpu_cost.py"))
-        process = subprocess.Popen(
-            [sys.executable, cost, *command("start")],
-            env=environment_of(tree, NUMBA_CACHE_DIR=cache),
-            cwd=tree,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            text=True,
-            start_new_session=True,
-        )
-        try:
-            answer, errors = process.communicate()
-        finally:
-            end_group(process)
+    words = [sys.executable, str(Path(__file__).with_name("cpu_cost.py")), *command("start")]
+    pipe = subprocess.PIPE
+    with (
+        tempfile.TemporaryDirectory(prefix="mecp_env-cache-") as cache,
+        started(tree, words, {"NUMBA_CACHE_DIR": cache}, stdout=pipe, stderr=pipe) as process,
+    ):
+        answer, errors = process.communicate()
         figures: Figures = json.loads(answer or '{"code": -1}')
         if figures.pop("code"):
             raise TreeError(f"{name}: the first start failed\n{errors.strip()}")

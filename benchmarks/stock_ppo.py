@@ -20,11 +20,10 @@ from typing import Any
 import gymnasium
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, steps_per_s
+from benchmarks.common import Figures, Gate, Options, estimate, steps_per_s
 from benchmarks.process_use import processor_s
 from benchmarks.random_actions import RandomDriver, sample
 from benchmarks.tables import whole_rows
-from mecp_env.core.intervals import estimate
 
 ROOMS = "mecp_env/Rooms-v0"
 MODULE_AND_ID = f"mecp_env:{ROOMS}"  # the processes of SubprocVecEnv import the package first

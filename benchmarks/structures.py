@@ -13,20 +13,20 @@ that the structure made, the share of scans with at least three right pairs and 
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from typing import Any
 
 import numpy as np
 
 from benchmarks import association, loop
-from benchmarks.columns import columns_of, means, ratios
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
 from benchmarks.drives import Drive, replay
-from benchmarks.loop import HARD, named
 from benchmarks.polygon_speed import median_us
-from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import sections, table_of, turned
+from benchmarks.records import HARD, IN_MEMORY, Records, on_records
+from benchmarks.rough_pose import figures_of, front_end, named, right_share
+from benchmarks.tables import by_row, columns_of, means, ratios, sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
-from mecp_env.core.intervals import estimate, ratio
+from mecp_env.core.carriers import Array
 from mecp_env.slam import config
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.mecp import find_structure
@@ -36,6 +36,7 @@ SETS, MOST = tuple(SEEDS), 500
 ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the second part
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
 VARIANTS = (DEFAULT, "mecp without descriptor")
+SUMMARY = ("precision", "recall", "duplicates_per_corner", "closure_recall", "events", "rmse_m", "map_rmse_m", "lost")
 TIMED_SCANS = 25  # of a drive
 PLAIN = "mecp"
 
@@ -54,8 +55,8 @@ def run(options: Options) -> Figures:
     found = on_records(measure, dict[str, Any], units, options)
     parts: Figures = {"closed": {}, "rough": {}}
     for (kind, layout), runs in found.items():
-        summary = of_closed if kind == "closed" else of_rough
-        parts[kind][layout] = {name: summary(runs, name) for name in runs[0]}
+        rows, summary = by_row(runs), of_closed if kind == "closed" else of_rough
+        parts[kind][layout] = {name: summary(own, rows[PLAIN]) for name, own in rows.items()}
     return parts
 
 
@@ -89,59 +90,37 @@ def closed_loop(drive: Drive) -> Figures:
 def time_us(drive: Drive, slam: SlamConfig) -> float:
     """Microseconds of one call, the median over scans of a drive."""
     scans = drive.scans[:: max(len(drive.scans) // TIMED_SCANS, 1)]
-    fronts = [loop.front_end(scan, slam) for scan in scans]
+    fronts = [front_end(scan, slam) for scan in scans]
     return median_us(lambda seen: find_structure(seen[0], seen[1], slam.polygon, seen[2]), fronts, repeats=5)
 
 
-def of_closed(runs: list[dict[str, Figures]], name: str) -> Figures:
+def of_closed(runs: list[Figures], base: list[Figures]) -> Figures:
     """Figures of one structure over all drives of a layout, with 95 % intervals and differences to `mecp`."""
-    rows = [run[name] for run in runs]
-    columns = columns_of(rows)
-    wanted = (
-        "precision",
-        "recall",
-        "duplicates_per_corner",
-        "closure_recall",
-        "events",
-        "rmse_m",
-        "map_rmse_m",
-        "lost",
-    )
-    summary = association.summarise(rows)
+    columns, usual, summary = columns_of(runs), columns_of(base), association.summarise(runs)
     return {
-        "drives": len(rows),
-        **{key: summary[key] for key in wanted},
-        "false_per_100": ratio(100.0 * columns["false_closures"], np.ones(len(rows))),
+        "drives": len(runs),
+        **{key: summary[key] for key in SUMMARY},
+        "false_per_100": ratio(100.0 * columns["false_closures"], np.ones(len(runs))),
         **ratios(columns, by_polygon="paired/seen", recognised="recognised/scans", unique="unique/found"),
         **means(columns, "vertices", "area_m2", "us"),
-        **association.differences([(run[name], run[PLAIN]) for run in runs]),
-        "by_polygon_minus_mecp": estimate([share_of(run[name]) - share_of(run[PLAIN]) for run in runs]),
+        **association.differences(runs, base),
+        "by_polygon_minus_mecp": estimate(paired_share(columns) - paired_share(usual)),
     }
 
 
-def share_of(row: Figures) -> float:
-    """Share of corners that polygons paired in one drive."""
-    return float(row["paired"]) / max(float(row["seen"]), 1.0)
+def paired_share(columns: dict[str, Array]) -> Array:
+    """(n,) share of corners that polygons paired in each drive."""
+    return columns["paired"] / np.maximum(columns["seen"], 1.0)
 
 
-def of_rough(runs: list[dict[str, Any]], name: str) -> Figures:
+def of_rough(runs: list[Any], base: list[Any]) -> Figures:
     """Right and wrong of one structure, and the difference to `mecp` on the same scans."""
-    return {
-        f"{variant}, {named(sigma)}": loop.figures_of([run[name][variant][named(sigma)] for run in runs])
-        | {
-            "right_minus_mecp": estimate(
-                [right(run[name], variant, sigma) - right(run[PLAIN], variant, sigma) for run in runs]
-            )
-        }
-        for variant in VARIANTS
-        for sigma in SIGMAS
-    }
-
-
-def right(run: Any, variant: str, sigma: tuple[float, float]) -> float:
-    """Share of right scans of one drive."""
-    cell = run[variant][named(sigma)]
-    return float(cell["right"]) / float(cell["scans"])
+    figures: Figures = {}
+    for variant, sigma in product(VARIANTS, map(named, SIGMAS)):
+        own, usual = ([run[variant][sigma] for run in some] for some in (runs, base))
+        gained = right_share(own) - right_share(usual)
+        figures[f"{variant}, {sigma}"] = figures_of(own) | {"right_minus_mecp": estimate(gained)}
+    return figures
 
 
 def report(figures: Figures) -> str:

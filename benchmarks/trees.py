@@ -12,14 +12,14 @@ import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 from benchmarks.common import OptionError
 
 WORKING_TREE = Path(__file__).resolve().parent.parent
-PATIENCE_S = 5.0  # a worker that has not ended by then is killed
 
 
 class TreeError(RuntimeError):
@@ -54,77 +54,65 @@ def command(*arguments: str) -> list[str]:
     return [sys.executable, "-P", str(Path(__file__).with_name("in_tree.py")), *arguments]
 
 
-def environment_of(tree: Path, **variables: str) -> dict[str, str]:
-    """The environment variables of a process in a tree: it and its children import the package of that tree."""
-    return os.environ | {"PYTHONPATH": str(tree)} | variables
-
-
-def end_group(process: subprocess.Popen[str]) -> None:
-    """End a process that leads a group, and all that it started."""
-    with contextlib.suppress(OSError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-
-
-class TreeWorker:
-    """A process that runs `in_tree.py` in one tree and answers calls; it waits idle between them.
-
-    It leads a process group, which ends with it.
-    """
-
-    def __init__(self, name: str, tree: Path, *arguments: str) -> None:
-        self.name = name
-        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115  (it lives as long as the worker)
-        self._process = subprocess.Popen(
-            command("drive", *arguments),
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env=environment_of(tree),
-            cwd=tree,
-            text=True,
-            start_new_session=True,
-        )
-        self._tree = tree
-
-    def __enter__(self) -> TreeWorker:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        """End the process and all that it started."""
+@contextlib.contextmanager
+def started(tree: Path, words: Sequence[str], variables: Mapping[str, str], **streams: Any) -> Iterator[Any]:
+    """A process in a tree, whose children import the package of that tree; at the end it and all of them are ended."""
+    process = subprocess.Popen(
+        words,
+        cwd=tree,
+        env=os.environ | {"PYTHONPATH": str(tree), **variables},
+        text=True,
+        start_new_session=True,
+        **streams,
+    )
+    try:
+        yield process
+    finally:
         with contextlib.suppress(OSError):
-            self._pipe(self._process.stdin).close()
-        with contextlib.suppress(subprocess.TimeoutExpired):
-            self._process.wait(PATIENCE_S)
-        end_group(self._process)
-        self._pipe(self._process.stdout).close()
-        self._errors.close()
+            os.killpg(process.pid, signal.SIGKILL)
+        with contextlib.suppress(BrokenPipeError), process:  # it may end before it has read everything
+            pass
+
+
+@contextlib.contextmanager
+def tree_worker(name: str, tree: Path, *arguments: str) -> Iterator[TreeWorker]:
+    """A process that runs `in_tree.py` in one tree and answers calls; it waits idle between them."""
+    pipe = subprocess.PIPE
+    with (
+        tempfile.TemporaryFile() as errors,
+        started(tree, command("drive", *arguments), {}, stdin=pipe, stdout=pipe, stderr=errors) as process,
+    ):
+        yield TreeWorker(name, tree, process, errors)
+
+
+@dataclass(frozen=True, slots=True)
+class TreeWorker:
+    """The calls of a worker."""
+
+    name: str
+    tree: Path
+    process: Any
+    errors: IO[bytes]
 
     def check_package(self) -> None:
         """Raise `TreeError` unless the worker imported the package of its tree."""
         found = Path(self._answer()["package"]).resolve()
-        if self._tree not in found.parents:
-            raise TreeError(f"{self.name}: it imported {found}, not the package in {self._tree}")
+        if self.tree not in found.parents:
+            raise TreeError(f"{self.name}: it imported {found}, not the package in {self.tree}")
 
     def call(self, method: str, *arguments: Any) -> dict[str, Any]:
-        """What a method of `in_tree.Driver` returns. Raises `TreeError` with what a dead worker wrote last."""
+        """What a method of `in_tree.BlockDriver` returns. Raises `TreeError` with what a dead worker wrote last."""
         with contextlib.suppress(BrokenPipeError):
-            pipe = self._pipe(self._process.stdin)
-            pipe.write(json.dumps([method, *arguments]) + "\n")
-            pipe.flush()
+            self.process.stdin.write(json.dumps([method, *arguments]) + "\n")
+            self.process.stdin.flush()
         return self._answer()
 
     def _answer(self) -> dict[str, Any]:
-        line = self._pipe(self._process.stdout).readline()
+        line = self.process.stdout.readline()
         if not line:
-            code = self._process.wait()
-            self._errors.seek(0)
-            last = self._errors.read().decode(errors="replace").strip()
+            code = self.process.wait()
+            self.errors.seek(0)
+            last = self.errors.read().decode(errors="replace").strip()
             raise TreeError(f"{self.name}: the worker ended with exit code {code}\n{last}")
         answer: dict[str, Any] = json.loads(line)
         return answer
-
-    @staticmethod
-    def _pipe(pipe: IO[str] | None) -> IO[str]:
-        assert pipe is not None
-        return pipe

@@ -16,11 +16,10 @@ from typing import Any
 
 from matplotlib.figure import Figure
 
-from benchmarks.columns import columns_of, means
-from benchmarks.common import Figures, Gate, OptionError, Options, buildings_of, grouped, in_parallel
+from benchmarks.common import Figures, Gate, OptionError, Options, buildings_of, estimate, grouped, in_parallel, share
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.tables import sections, table
-from mecp_env.core.intervals import estimate, share
+from benchmarks.tables import columns_of, means, sections, table
+from mecp_env.core.carriers import Array
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import make_policy, policy_checksum, source_of
@@ -56,6 +55,7 @@ GATES = tuple(
     for point in (BASE, "odometry_x4", "range_8_m")
     for policy in ("next_best_view", "returning")
 )
+Columns = Mapping[str, Array]  # of the episodes
 Unit = tuple[str, str, str, str, str, int]  # task, point, policy, its checksum, estimator, building
 
 
@@ -65,14 +65,14 @@ def run(options: Options) -> Figures:
     points = QUICK if options.quick and not options.sets else CHANGES
     counts = buildings_of(options, points, QUICK_BUILDINGS if options.quick else BUILDINGS, MOST)
     units = units_of(task, counts, policies)
-    found: dict[tuple[str, str], dict[str, list[dict[str, float]]]] = {}
+    found: dict[tuple[str, str], dict[str, Columns]] = {}
     results = grouped(units, in_parallel(episode, dict[str, float], units, options))
     for (_, point, policy, _, estimator), episodes in results.items():
-        found.setdefault((point, policy), {})[estimator] = episodes
-    results_of: Figures = {point: {} for point in counts}
-    for (point, policy), estimators in found.items():
-        results_of[point][policy] = summarise(estimators) | over(estimators, found.get((point, GREEDY)))
-    return {"task": task, "range_m": range_of(task), "points": results_of}
+        found.setdefault((point, policy), {})[estimator] = columns_of(episodes)
+    points_of: Figures = {point: {} for point in counts}
+    for (point, policy), of in found.items():
+        points_of[point][policy] = summarise(of, found.get((point, GREEDY)))
+    return {"task": task, "range_m": range_of(task), "points": points_of}
 
 
 def units_of(task: str, counts: Mapping[str, int], policies: Sequence[str]) -> list[Unit]:
@@ -112,23 +112,13 @@ def range_of(task: str) -> float:
     return float(TASKS[task]["laser"]["max_range_m"])
 
 
-def summarise(estimators: Mapping[str, list[dict[str, float]]]) -> Figures:
-    """Results of one policy at one point: each estimator, and the prices."""
-    of = {name: columns_of(episodes) for name, episodes in estimators.items()}
-    lost = {name: {"lost": share(columns["lost"] > 0.5)} for name, columns in of.items()}
-    figures: Figures = {name: means(columns, *KEPT) | lost[name] for name, columns in of.items()}
+def summarise(of: Mapping[str, Columns], greedy: Mapping[str, Columns] | None) -> Figures:
+    """Results of one policy at one point: each estimator, the prices, and the gain over the greedy one, if there."""
+    figures: Figures = {name: means(own, *KEPT) | {"lost": share(own["lost"] > 0.5)} for name, own in of.items()}
     gains = {name: of[more][METRIC] - of[less][METRIC] for name, (more, less) in PRICES.items()}
+    if greedy is not None:
+        gains["over"] = of["slam"][METRIC] - greedy["slam"][METRIC]
     return figures | {name: estimate(gain) for name, gain in gains.items()}
-
-
-def over(
-    estimators: Mapping[str, list[dict[str, float]]], greedy: Mapping[str, list[dict[str, float]]] | None
-) -> Figures:
-    """What one policy gains over the greedy one at one point, if that is there."""
-    if greedy is None:
-        return {}
-    pairs = zip(estimators["slam"], greedy["slam"], strict=True)
-    return {"over": estimate([own[METRIC] - other[METRIC] for own, other in pairs])}
 
 
 def report(figures: Figures) -> str:

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from benchmarks.clipper import ClipperAssociator
+from benchmarks.drives import Drive, Replay, replay
 from benchmarks.kiss import KissAssociator, KissPointsAssociator
 from mecp_env.config import merge
 from mecp_env.core.carriers import Array
+from mecp_env.core.errors import MecpError
 from mecp_env.slam.association import MecpAssociator, make_associator
 from mecp_env.slam.association.cliques import FirstPass
 from mecp_env.slam.association.gating import MatchBuilder
@@ -18,6 +20,7 @@ from mecp_env.slam.association.mecp import PolygonMatch
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import KINDS, METHODS, AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners, MapView, Polygon
+from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
 
 
@@ -74,6 +77,11 @@ class TwoPassJcbbAssociator(MecpAssociator):
         pair_jointly(builder, corners, costs, predicted.ids, belief, self.config)
 
 
+def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:
+    """An estimator with other fields in some sections; all else is the same."""
+    return SlamConfig(**merge(slam.model_dump(), change))
+
+
 @dataclass(frozen=True, slots=True)
 class Variant:
     """What differs from the estimator of a drive."""
@@ -81,58 +89,90 @@ class Variant:
     change: dict[str, Any] = field(default_factory=dict)  # fields of sections of the configuration
     make: Callable[[AssociationConfig], Associator] = make_associator
 
+    def associator(self, slam: SlamConfig) -> Associator:
+        """The associator in place of that of an estimator."""
+        return self.make(with_change(slam, self.change).association)
 
-def with_change(slam: SlamConfig, change: dict[str, Any]) -> SlamConfig:
-    """An estimator with other fields in some sections; all else is the same."""
-    return SlamConfig(**merge(slam.model_dump(), change))
+
+def associating(**fields: Any) -> Variant:
+    """Other fields in the section of association."""
+    return Variant({"association": fields})
 
 
-DEFAULT = "mecp"
-WITHOUT_POLYGONS = Variant({"association": {"use_polygons": False}})
-ONE_PASS = Variant(make=OnePassAssociator)
-POLYGONS_ALONE = Variant(make=PolygonAssociator)
-CLIPPER = Variant({"association": {"use_rooms": False}}, ClipperAssociator)
+def replays(
+    drive: Drive, rows: Mapping[str, Variant], estimator: Callable[..., SlamPipeline] = SlamPipeline
+) -> dict[str, Replay]:
+    """What the estimator of each row makes of a drive; an error of a part says which row it is."""
+    return {name: _replayed(drive, name, variant, estimator) for name, variant in rows.items()}
+
+
+def _replayed(drive: Drive, name: str, variant: Variant, estimator: Callable[..., SlamPipeline]) -> Replay:
+    try:
+        return replay(drive, with_change(drive.slam, variant.change), variant.make, estimator)
+    except MecpError as error:
+        raise type(error)(f"{name}: {error}") from error
+
+
+DEFAULT, LETTER = "mecp", "SlamConfig.paper()"
+WITHOUT_ROOMS = {"association": {"use_rooms": False}}
+RIVALS = {  # none uses polygons
+    "jcbb": associating(method="jcbb", use_rooms=False, use_descriptor=False),
+    "jcbb with descriptor": associating(method="jcbb", use_rooms=False),
+    "jcbb with descriptor and rooms": associating(method="jcbb"),
+    "ccda": associating(method="ccda", use_rooms=False, use_descriptor=False),
+    "ccda with descriptor": associating(method="ccda", use_rooms=False),
+    "joint_descriptor": associating(method="joint_descriptor", use_rooms=False),
+    "nearest_room": associating(method="nearest_room"),
+    "nearest_descriptor": associating(method="nearest_descriptor"),
+}
 KISS = {  # where the package is installed
-    "kiss-matcher with descriptor": Variant(CLIPPER.change, KissAssociator),
-    "kiss-matcher on points": Variant(CLIPPER.change, KissPointsAssociator),
+    "kiss-matcher with descriptor": Variant(WITHOUT_ROOMS, KissAssociator),
+    "kiss-matcher on points": Variant(WITHOUT_ROOMS, KissPointsAssociator),
+}
+VARIANTS = {
+    DEFAULT: Variant(),
+    "mecp without descriptor": associating(use_descriptor=False),
+    "mecp without polygons": associating(use_polygons=False),
+    "mecp without rooms": Variant(WITHOUT_ROOMS),
+    "mecp without both": associating(use_polygons=False, use_descriptor=False),  # polygons and descriptor
+    "mecp without cliques": Variant(make=PolygonAssociator),
+    "mecp in one pass": Variant(make=OnePassAssociator),
+    "mecp_paper": associating(**SlamConfig.paper().association.model_dump()),
+    "jcbb with descriptor in two passes": Variant(
+        {"association": {"use_polygons": False, "use_rooms": False}}, TwoPassJcbbAssociator
+    ),
+    "jcbb with all of mecp": Variant(
+        {"association": {"use_polygons": True, "use_rooms": False}}, TwoPassJcbbAssociator
+    ),
+    "clipper with descriptor": Variant(WITHOUT_ROOMS, ClipperAssociator),
+    **KISS,
+    **RIVALS,
+    "nearest": associating(method="nearest"),
+    "known": Variant({"association": {"method": "known"}, "tracks": {"merge": False}}),
+    LETTER: Variant(SlamConfig.paper().model_dump()),
 }
 
-RIVALS: dict[str, dict[str, Any]] = {  # fields of the association section; none uses polygons
-    "jcbb": {"method": "jcbb", "use_rooms": False, "use_descriptor": False},
-    "jcbb with descriptor": {"method": "jcbb", "use_rooms": False},
-    "jcbb with descriptor and rooms": {"method": "jcbb"},
-    "ccda": {"method": "ccda", "use_rooms": False, "use_descriptor": False},
-    "ccda with descriptor": {"method": "ccda", "use_rooms": False},
-    "joint_descriptor": {"method": "joint_descriptor", "use_rooms": False},
-    "nearest_room": {"method": "nearest_room"},
-    "nearest_descriptor": {"method": "nearest_descriptor"},
-}
+
+def changed(name: str, change: dict[str, Any]) -> Variant:
+    """A variant with other fields, too."""
+    return replace(VARIANTS[name], change=merge(VARIANTS[name].change, change))
 
 
-def own_rows() -> dict[str, dict[str, Any]]:
-    """What to change in an estimator for each part that modules have registered: an associator, or `mecp`'s filter."""
-    rows: dict[str, dict[str, Any]] = {name: {"association": {"method": name}} for name in METHODS.others}
-    return rows | {f"{DEFAULT}, filter {name}": {"filter": {"kind": name}} for name in KINDS.others}
+def rows_of(*names: str) -> dict[str, Variant]:
+    """Some of the variants."""
+    return {name: VARIANTS[name] for name in names}
 
 
-def associators() -> dict[str, dict[str, Any]]:
-    """What to change in an estimator for each associator that is registered now: one row or several of each."""
-    rows: dict[str, dict[str, Any]] = {
-        "mecp_paper": {"association": SlamConfig.paper().association.model_dump()},
-        "known": {"association": {"method": "known"}, "tracks": {"merge": False}},
-    }
-    rows |= {name: {"association": fields} for name, fields in RIVALS.items()}
+def own_rows() -> dict[str, Variant]:
+    """A row for each part that modules have registered: an associator, or `mecp` with another filter."""
+    rows = {name: associating(method=name) for name in METHODS.others}
+    return rows | {f"{DEFAULT}, filter {name}": Variant({"filter": {"kind": name}}) for name in KINDS.others}
+
+
+def associators() -> dict[str, Variant]:
+    """One row or several for each associator that is registered now."""
     names = (*METHODS.ours, *METHODS.others)
-    rows = {name: {"association": {"method": name}} for name in names} | rows
-    method = {name: change["association"]["method"] for name, change in rows.items()}
+    rows = {name: associating(method=name) for name in names}
+    rows |= rows_of("mecp_paper", "known", *RIVALS)
+    method = {name: row.change["association"]["method"] for name, row in rows.items()}
     return {name: rows[name] for known in names for name in rows if method[name] == known}
-
-
-def rival(name: str) -> Variant:
-    """One of the RIVALS as it is."""
-    return Variant({"association": RIVALS[name]})
-
-
-def two_pass_jcbb(use_polygons: bool) -> Variant:
-    """JCBB with descriptor in the two passes of `mecp`, with its polygons or without."""
-    return Variant({"association": {"use_polygons": use_polygons, "use_rooms": False}}, TwoPassJcbbAssociator)

@@ -25,10 +25,9 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, in_turns
+from benchmarks.common import Figures, Gate, Options, estimate, in_turns
 from benchmarks.process_use import memory_mb, processor_s
 from benchmarks.tables import sections, whole_rows
-from mecp_env.core.intervals import estimate
 from mecp_env.core.processes import cores
 from mecp_env.vector import BatchEnv
 
@@ -71,10 +70,9 @@ def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[s
 def figures(name: str, measured: list[dict[str, tuple[float, float]]], memory_mb: float) -> Figures:
     """Speed, ratios and cost of a kind over the rounds."""
     rates = np.array([turn[name][0] for turn in measured])
-    others = {f"over_{other}": rates / [turn[other][0] for turn in measured] for other in (SINGLE, ASYNC)}
     return {
         "periods_per_s": estimate(rates),
-        **{key: estimate(ratios) for key, ratios in others.items()},
+        **{f"over_{other}": estimate(rates / [turn[other][0] for turn in measured]) for other in (SINGLE, ASYNC)},
         "processor_us": estimate([turn[name][1] for turn in measured]),
         "memory_mb": memory_mb,
     }
@@ -214,12 +212,9 @@ class Driver:
     def pids(self) -> list[int]:
         """All running processes: this one and its workers."""
         batch = getattr(self.venv, "batch", self.venv)
-        workers = (
-            batch.pids
-            if isinstance(batch, BatchEnv)
-            else [process.pid for process in getattr(self.venv, "processes", ())]
-        )
-        return [os.getpid(), *workers]
+        if isinstance(batch, BatchEnv):
+            return [os.getpid(), *batch.pids]
+        return [os.getpid(), *(process.pid for process in getattr(batch, "processes", ()))]
 
     def close(self) -> None:
         """Stop the workers."""

@@ -17,9 +17,8 @@ import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, in_turns
+from benchmarks.common import Figures, Gate, Options, estimate, in_turns
 from benchmarks.tables import sections, whole_rows
-from mecp_env.core.intervals import estimate
 
 NAME = "mecp_env/PaperMap-v0"
 COUNTS = (1, 2, 4, 16)

@@ -18,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.batch import Motion, Optimum, Record, Sighting, filtered, in_order, optimum
+from benchmarks.batch import Optimum, optimum
 from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data
 from benchmarks.errors import rms, sigma_ratio
+from benchmarks.known_pairs import Motion, Record, Sighting, filtered, in_order
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array
 from mecp_env.core.sensors import Odometry

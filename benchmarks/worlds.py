@@ -21,11 +21,9 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.columns import of_visits
-from benchmarks.common import Figures, Gate, Options, chosen, grouped, in_parallel, shared_data
+from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, share, shared_data
 from benchmarks.drives import exploration
-from benchmarks.tables import sections, turned
-from mecp_env.core.intervals import estimate, share
+from benchmarks.tables import of_visits, sections, turned
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.registration import make
@@ -49,11 +47,12 @@ def further(preset: str) -> dict[str, dict[str, Any]]:
     return {"": {}, "_people": people, "_clutter": {"clutter": {"movable_boxes": n, "closed_doors": CLOSED_DOORS}}}
 
 
+PLANS = "plans"  # the setting of the real floor plans
 SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further configuration
-    preset + kind: (preset, added) for preset in PEOPLE for kind, added in further(preset).items()
+    **{preset + kind: (preset, added) for preset in PEOPLE for kind, added in further(preset).items()},
+    PLANS: (PLANS, {}),
 }
 BUILDINGS = {preset + kind: (HUGE_COUNTS if preset == "huge" else COUNTS)[kind] for preset in PEOPLE for kind in COUNTS}
-PLANS = "plans"  # the setting of the real floor plans
 SETS = (*BUILDINGS, PLANS)
 PLAN_STARTS = 3
 MOST = 1000  # buildings of the test split
@@ -81,7 +80,6 @@ class Visit:
     final: dict[str, float]
     terminated: bool
     steps_per_s: float
-    saturated: int  # clipped values and omitted rows of the last observation
 
     @property
     def seen(self) -> bool:
@@ -139,7 +137,7 @@ def visit(task: tuple[str, int]) -> Visit:
     """Explore one building, from a start given by its number."""
     setting, index = task
     layout = building(setting, index)
-    found, env = explored(layout, index, MAX_STEPS, **added(setting))
+    found, env = explored(layout, index, MAX_STEPS, **SETTINGS[setting][1])
     if found.outcome != "complete":
         keep(layout, task, found, env)
     return found
@@ -153,12 +151,7 @@ def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -
     for info, terminated in exploration(env, seed):  # noqa: B007
         pass
     speed = info["period"] / (time.thread_time() - begun)
-    return Visit(env.get_wrapper_attr("summary")(), terminated, speed, info["saturated"]), env
-
-
-def added(setting: str) -> dict[str, Any]:
-    """The configuration that a setting adds."""
-    return SETTINGS[setting][1] if setting in SETTINGS else {}
+    return Visit(env.get_wrapper_attr("summary")(), terminated, speed), env
 
 
 def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) -> None:
@@ -177,51 +170,41 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
 
 def flags(setting: str) -> str:
     """The options of the demo that a setting adds."""
-    sections = added(setting).items()
+    sections = SETTINGS[setting][1].items()
     fields = [(f"{section}.{name}", value) for section, values in sections for name, value in values.items()]
     return "".join(f" --config.{name.replace('_', '-')} {value}" for name, value in fields)
 
 
 def summarise(visits: list[Visit]) -> Figures:
     """Results of one preset, each with its 95 % interval."""
-    return (
-        outcomes(visits)
-        | of_visits([visit.final for visit in visits], TOTALS)
-        | {
-            "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
-            "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
-        }
-    )
-
-
-def outcomes(visits: list[Visit]) -> Figures:
-    """Shares of the outcomes of the episodes."""
     ends = {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
-    return {"seen": share(visit.seen for visit in visits)} | ends
+    return {
+        "seen": share(visit.seen for visit in visits),
+        **ends,
+        **of_visits([visit.final for visit in visits], TOTALS),
+        "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
+        "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
+    }
 
 
 def report(figures: Figures) -> str:
     """One table per preset with one column per setting; the plans last."""
-    presets = dict.fromkeys(preset_of(name) for name in figures)
-    return sections({preset: table_of_preset(preset, figures) for preset in presets})
+    presets: dict[str, dict[str, Figures]] = {}
+    for name, values in figures.items():
+        presets.setdefault(SETTINGS[name][0], {})[name] = values
+    return sections({preset: table_of_preset(settings) for preset, settings in presets.items()})
 
 
-def table_of_preset(preset: str, figures: Figures) -> str:
+def table_of_preset(settings: dict[str, Figures]) -> str:
     """The table of a preset."""
-    mine = {name: values for name, values in figures.items() if preset_of(name) == preset}
-    return turned(mine, [f"{title(name)} ({setting['complete']['n']})" for name, setting in mine.items()])
-
-
-def preset_of(setting: str) -> str:
-    """The preset of a setting; the plans are one of their own."""
-    return SETTINGS[setting][0] if setting in SETTINGS else setting
+    return turned(settings, [f"{title(name)} ({values['complete']['n']})" for name, values in settings.items()])
 
 
 def title(setting: str) -> str:
     """The column heading of a setting."""
-    people, clutter = added(setting).get("crowd", {}), added(setting).get("clutter", {})
-    if people:
-        return f"{people['people']} people"
-    if clutter:
-        return f"{clutter['movable_boxes']} boxes, {clutter['closed_doors']:.0%} of doors closed"
-    return "bare" if setting in SETTINGS else setting
+    added = SETTINGS[setting][1]
+    if "crowd" in added:
+        return f"{added['crowd']['people']} people"
+    if "clutter" in added:
+        return f"{added['clutter']['movable_boxes']} boxes, {added['clutter']['closed_doors']:.0%} of doors closed"
+    return setting if setting == PLANS else "bare"

@@ -9,7 +9,7 @@ import pytest
 
 from benchmarks import against, in_tree, start
 from benchmarks.common import Options
-from benchmarks.trees import WORKING_TREE, TreeError, TreeWorker
+from benchmarks.trees import WORKING_TREE, TreeError, tree_worker
 from mecp_env.planning.breadth_first import BreadthFirst
 
 needs_git = pytest.mark.skipif(not (WORKING_TREE / ".git").exists(), reason="not in a git clone")
@@ -46,7 +46,7 @@ def test_both_trees_drive_the_same_steps_and_the_copy_is_removed(
 
 
 def test_a_worker_that_dies_is_named_with_what_it_wrote() -> None:
-    with TreeWorker("old tree", WORKING_TREE, "backwards", "1") as worker:
+    with tree_worker("old tree", WORKING_TREE, "backwards", "1") as worker:
         with pytest.raises(
             TreeError, match=r"(?s)old tree: the worker ended with exit code 1\n.*KeyError: 'backwards'"
         ):

@@ -6,7 +6,7 @@ import pytest
 from benchmarks import association_time as benchmark
 from benchmarks.common import Figures
 from benchmarks.drives import Drive
-from benchmarks.loop import finish, front_end, look
+from benchmarks.rough_pose import finish, front_end, look
 from tests.benchmarks.test_loop import drive  # noqa: F401  (a fixture)
 
 

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from benchmarks import consistency, ring, victoria_park
-from benchmarks.batch import Motion, Record, Sighting, filtered, library, measurement, optimum, turned
+from benchmarks import consistency, known_pairs, ring, victoria_park
+from benchmarks.batch import library, measurement, optimum
 from benchmarks.common import OptionError, Options, shared_data
+from benchmarks.known_pairs import Motion, Record, Sighting, filtered, turned
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
@@ -192,7 +193,7 @@ def test_every_filter_gets_the_same_drive(small: None, tmp_path: Path) -> None:
 def test_only_steps_with_slip_are_allowed_more() -> None:
     assert consistency.band(60) == (pytest.approx(2.41, abs=0.01), pytest.approx(3.65, abs=0.01))
     motion = Motion(make.odometry((1.0, 0.0)), np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4)
-    assert consistency.with_slip(motion, np.array([1.01, 0.01, 0.0])) is motion
-    slipped = consistency.with_slip(motion, np.array([0.4, 0.0, 0.1]))
-    np.testing.assert_allclose(slipped.cov, motion.cov + np.diag(consistency.SLIP_SIGMAS**2))
+    assert known_pairs.with_slip(motion, np.array([1.01, 0.01, 0.0])) is motion
+    slipped = known_pairs.with_slip(motion, np.array([0.4, 0.0, 0.1]))
+    np.testing.assert_allclose(slipped.cov, motion.cov + np.diag(known_pairs.SLIP_SIGMAS**2))
     assert slipped.lacking is None

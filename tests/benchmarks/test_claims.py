@@ -5,7 +5,7 @@ import json
 import numpy as np
 
 from benchmarks import claims, tables
-from benchmarks.claim_units import lines_of_sight
+from benchmarks.claim_units import lines_of_sight, recalls
 from benchmarks.common import RESULTS
 from benchmarks.records import Course
 from mecp_env.slam.pipeline import SlamPipeline
@@ -14,12 +14,12 @@ from mecp_env.slam.pipeline import SlamPipeline
 def test_a_claim_holds_where_its_whole_interval_says_so() -> None:
     for low, high, below, above in ((0.1, 0.4, "yes", "no"), (0.6, 0.7, "no", "yes"), (0.4, 0.6, "open", "open")):
         figures = {"part": {"figure": {"value": 0.5 * (low + high), "low": low, "high": high, "n": 3}}}
-        for is_above, said in ((False, below), (True, above)):
-            claim = claims.Claim("I", "sentence", "experiment", "part/figure", is_above, 0.5)
+        for bound, said in (("at_most", below), ("at_least", above)):
+            claim = claims.Claim("I", "sentence", "experiment", "part/figure", **{bound: 0.5})
             assert claim.holds(figures) == said
-    recalls = claims.recalls([[1, 1, 1, 2], [0, 0, 0, 0]])
-    assert recalls[0] == 0.5
-    assert np.isnan(recalls[1])  # of a pose without a visible corner
+    found = recalls([[1, 1, 1, 2], [0, 0, 0, 0]])
+    assert found[0] == 0.5
+    assert np.isnan(found[1])  # of a pose without a visible corner
 
 
 def test_every_claim_names_figures_of_the_committed_results() -> None:

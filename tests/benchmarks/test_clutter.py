@@ -9,9 +9,9 @@ from benchmarks import clutter
 from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.common import OptionError, Options
 from benchmarks.drives import Drive, replay
-from benchmarks.loop import front_end
 from benchmarks.records import Course
-from benchmarks.variants import associators
+from benchmarks.rough_pose import front_end
+from benchmarks.variants import associating, associators
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
@@ -101,8 +101,8 @@ class Own(NearestAssociator):
 def test_registered_associators_have_a_row(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(config.METHODS, "others", [])
     before = associators()
-    assert {change["association"]["method"] for change in before.values()} == set(config.METHODS.ours)
+    assert {row.change["association"]["method"] for row in before.values()} == set(config.METHODS.ours)
     register_associator("own_rival", Own)
-    assert associators() == before | {"own_rival": {"association": {"method": "own_rival"}}}
+    assert associators() == before | {"own_rival": associating(method="own_rival")}
     with pytest.raises(OptionError, match="--with no_such_module"):
         clutter.run(Options(modules=("no_such_module",)))

@@ -3,7 +3,7 @@
 import numpy as np
 
 from benchmarks.drives import RecordingEnv, replay
-from benchmarks.map_consistency import mean_nees, seen_together
+from benchmarks.errors import mean_nees, seen_together
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import fed

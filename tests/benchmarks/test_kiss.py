@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks import kiss, loop
+from benchmarks import kiss, loop, rough_pose
 from benchmarks.common import Figures, OptionError
 from benchmarks.drives import Drive
 from benchmarks.variants import KISS
@@ -36,9 +36,9 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True)
     return given
 
 
-def count(drive: Drive, finished: loop.Finished, name: str, seen: loop.Look, errors: np.ndarray) -> Figures:  # noqa: F811
-    associator = loop.associator_of(KISS[name], drive.slam)
-    return loop.count_scans(finished, associator, [seen] * len(errors), SIGMA, errors)
+def count(drive: Drive, finished: rough_pose.Finished, name: str, seen: rough_pose.Look, errors: np.ndarray) -> Figures:  # noqa: F811
+    associator = KISS[name].associator(drive.slam)
+    return rough_pose.count_scans(finished, associator, [seen] * len(errors), SIGMA, errors)
 
 
 ERRORS = np.random.default_rng(3).normal(size=(4, 3))
@@ -47,9 +47,9 @@ ERRORS = np.random.default_rng(3).normal(size=(4, 3))
 def test_pairs_are_those_that_fit_at_the_pose_found(
     monkeypatch: pytest.MonkeyPatch,
     drive: Drive,  # noqa: F811
-    finished: loop.Finished,  # noqa: F811
+    finished: rough_pose.Finished,  # noqa: F811
 ) -> None:
-    seen = loop.look(drive, finished, 100)
+    seen = rough_pose.look(drive, finished, 100)
     given = stand_in(monkeypatch, seen.T_map_robot)
     counts = count(drive, finished, ON_PAIRS, seen, ERRORS)
     assert (counts["right"], counts["wrong"]) == (4, 0)
@@ -73,13 +73,13 @@ def test_pairs_are_those_that_fit_at_the_pose_found(
 def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
     monkeypatch: pytest.MonkeyPatch,
     drive: Drive,  # noqa: F811
-    finished: loop.Finished,  # noqa: F811
+    finished: rough_pose.Finished,  # noqa: F811
 ) -> None:
     monkeypatch.setitem(sys.modules, kiss.PACKAGE, None)
     with pytest.raises(OptionError, match=r"pip install -e '.\[lab\]'"):
-        loop.associator_of(KISS[ON_PAIRS], drive.slam)
-    looks = [loop.look(drive, finished, 100)] * len(ERRORS)
-    cell = loop.count_scans(finished, loop.associator_of(loop.VARIANTS["mecp"], drive.slam), looks, SIGMA, ERRORS)
+        KISS[ON_PAIRS].associator(drive.slam)
+    looks = [rough_pose.look(drive, finished, 100)] * len(ERRORS)
+    cell = rough_pose.count_scans(finished, loop.VARIANTS["mecp"].associator(drive.slam), looks, SIGMA, ERRORS)
     without, with_rows = {"mecp": {"s": cell}}, {name: {"s": cell} for name in ("mecp", *KISS)}
     note = "its rows are missing"
     assert note in loop.report({"paper": loop.summarise([without])})
@@ -88,9 +88,9 @@ def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
 
 
 @needs_kiss
-def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: loop.Finished) -> None:  # noqa: F811
-    seen, T = loop.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
-    associator = loop.associator_of(KISS[ON_POINTS], drive.slam)
+def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: rough_pose.Finished) -> None:  # noqa: F811
+    seen, T = rough_pose.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
+    associator = KISS[ON_POINTS].associator(drive.slam)
     assert isinstance(associator, kiss.KissPointsAssociator)
     assert seen.beams is not None
     associator.look_at(seen.beams, finished.pipeline.grid.canvas.grid)

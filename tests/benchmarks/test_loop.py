@@ -5,7 +5,7 @@ import dataclasses
 import numpy as np
 import pytest
 
-from benchmarks import loop
+from benchmarks import loop, rough_pose
 from benchmarks.drives import Drive, record_drive
 
 
@@ -15,31 +15,31 @@ def drive() -> Drive:
 
 
 @pytest.fixture(scope="module")
-def finished(drive: Drive) -> loop.Finished:
-    return loop.finish(drive)
+def finished(drive: Drive) -> rough_pose.Finished:
+    return rough_pose.finish(drive)
 
 
 def test_two_passes_are_worth_something_at_a_wide_prior_and_nothing_at_a_sharp_one(
-    drive: Drive, finished: loop.Finished
+    drive: Drive, finished: rough_pose.Finished
 ) -> None:
-    looks = [loop.look(drive, finished, step) for step in range(20, len(drive.scans), 10)]
+    looks = [rough_pose.look(drive, finished, step) for step in range(20, len(drive.scans), 10)]
     errors = np.random.default_rng(0).normal(size=(len(looks), 3))
 
     def right(variant: str, sigma: tuple[float, float]) -> int:
-        associator = loop.associator_of(loop.VARIANTS[variant], drive.slam)
-        return int(loop.count_scans(finished, associator, looks, sigma, errors)["right"])
+        associator = loop.VARIANTS[variant].associator(drive.slam)
+        return int(rough_pose.count_scans(finished, associator, looks, sigma, errors)["right"])
 
     assert right("mecp", (0.05, 0.5)) == right("mecp in one pass", (0.05, 0.5))
     assert right("mecp", (1.5, 15.0)) > right("mecp in one pass", (1.5, 15.0))
 
 
-def test_a_pair_with_another_landmark_is_wrong(drive: Drive, finished: loop.Finished) -> None:
-    seen = loop.look(drive, finished, 100)
-    associator = loop.associator_of(loop.VARIANTS["mecp"], drive.slam)
+def test_a_pair_with_another_landmark_is_wrong(drive: Drive, finished: rough_pose.Finished) -> None:
+    seen = rough_pose.look(drive, finished, 100)
+    associator = loop.VARIANTS["mecp"].associator(drive.slam)
     sigma, exact = (0.05, 0.5), np.zeros((1, 3))
-    counts = loop.count_scans(finished, associator, [seen], sigma, exact)
+    counts = rough_pose.count_scans(finished, associator, [seen], sigma, exact)
     assert (counts["right"], counts["wrong"]) == (1, 0)
-    assert counts["pairs"] >= loop.RIGHT_PAIRS
+    assert counts["pairs"] >= rough_pose.RIGHT_PAIRS
     spurious = dataclasses.replace(seen, true=np.full_like(seen.true, -1))
-    none = loop.count_scans(finished, associator, [spurious], sigma, exact)
+    none = rough_pose.count_scans(finished, associator, [spurious], sigma, exact)
     assert (none["right"], none["possible"], none["wrong"]) == (0, 0, counts["pairs"])

@@ -16,7 +16,7 @@ def committed(name: str) -> dict[str, Any]:
 
 @pytest.mark.parametrize("figure", [None, {"value": None, "low": None, "high": None, "n": 0}])
 def test_a_claim_without_a_figure_is_open(figure: object) -> None:
-    claim = claims.Claim("I", "sentence", "experiment", "part/figure", True, 0.5)
+    claim = claims.Claim("I", "sentence", "experiment", "part/figure", at_least=0.5)
     assert claim.holds({"part": {"figure": figure}}) == claim.holds({}) == "open"
     assert "**open**" in claims.report({})
 

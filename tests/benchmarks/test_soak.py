@@ -14,7 +14,9 @@ def watched(**changes: Any) -> soak.Soak:
     n = soak.SLICES
     parts: dict[str, Any] = {"steps": [10] * n, "seconds": [0.1] * n, "processor_s": [0.1] * n}
     parts |= {"memory_mb": [300.0] * n, "files": [9] * n, "segments": [2] * n, "episodes": [1] * n}
-    return soak.Soak(**parts | changes)
+    parts |= {name: changes.pop(name) for name in parts if name in changes}
+    slices = [dict(zip(parts, row, strict=True)) for row in zip(*parts.values(), strict=True)]
+    return soak.Soak(slices, **changes)
 
 
 @pytest.mark.parametrize(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from benchmarks import crowd_speed, explorers, polygon_speed, speed
+from benchmarks import crowd_speed, polygon_speed, speed
 from benchmarks.tables import flatten
 from mecp_env.cli.stopwatch import STAGE_NAMES, STAGES, timed_stages
 from mecp_env.env import MecpEnv
@@ -48,11 +48,3 @@ def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -
     env = {f"K={k}": {kind: {"steps_per_s": 1.0} for kind in ("random", "bfs")} for k in speed.SWEEPS}
     measured = flatten({"env": env, "crowd": crowd, "rays": rays, "polygon": polygons})
     assert {gate.path for gate in speed.GATES} <= measured.keys()
-
-
-def test_a_coverage_counts_when_it_is_first_reached() -> None:
-    episode = explorers.Episode()
-    for step, coverage in enumerate([0.5, 0.91, 0.89, 0.95, 0.999]):
-        episode.look({"coverage": coverage, "period": step, "metres": 0.3 * step})
-    assert (episode.steps[0.90], episode.steps[0.99]) == (1, 4)
-    assert episode.metres[0.99] == pytest.approx(1.2)

@@ -39,7 +39,7 @@ def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -
 
 
 def test_settings_are_presets_with_something_more_and_can_be_seen_again() -> None:
-    assert set(worlds.SETTINGS) == set(worlds.BUILDINGS)
+    assert set(worlds.SETTINGS) == set(worlds.SETS)
     assert {worlds.title(name) for name in worlds.SETTINGS if "medium" in name} == {
         "bare",
         "4 people",
