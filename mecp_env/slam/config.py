@@ -176,7 +176,8 @@ class DynamicObjectsConfig(Settings):
 class PanoramaConfig(Settings):
     """Recent scans around the robot, where a scan does not surround it; paper: none, its laser sees all around."""
 
-    use: Literal["blind", "always", "never"] = "blind"  # blind: for lasers with a blind side
+    use: Literal["blind", "needed", "always", "never"] = "needed"  # blind: for lasers with a blind side
+    # needed: and for scans of fewer corners than tell where the robot is (`localisation.least_corners`)
     scans: int = Field(6, ge=1, le=50)  # at most, in the window
     spacing_m: float = Field(
         1.0, gt=0.0, le=10.0

@@ -175,7 +175,7 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
         raise StateError(f"{where}.state: not finite, or too far away")
 
 
-FILE = FileKind("mecp_env map", 8, __version__)
+FILE = FileKind("mecp_env map", 9, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")

@@ -141,6 +141,7 @@ class RecentScans:
     """The window, the newest scan last."""
 
     config: PanoramaConfig
+    least_corners: int  # that tell where the robot is
     sensor: SensorModel
     limits: RegistrationLimits
     scans: list[RecentScan] = field(default_factory=list)
@@ -151,18 +152,20 @@ class RecentScans:
 
     def __init__(self, config: SlamConfig) -> None:
         self.config, self.sensor = config.panorama, config.sensor
+        self.least_corners = config.localisation.least_corners
         self.limits = RegistrationLimits.of(config)
         self.scans, self.next_mark, self.registered = [], FIRST_MARK, None
         self.linked = self.vouched = False
 
-    def are_used(self, beams: MergedScan) -> bool:
-        """True for a laser whose scans the window completes."""
-        return self.config.use == "always" or (self.config.use == "blind" and beams.blind)
+    def are_used(self, scan: ScanFeatures) -> bool:
+        """True for a scan that the window completes, or that shows few corners."""
+        use, few = self.config.use, len(scan.corners) < self.least_corners
+        return use == "always" or (use != "never" and scan.beams.blind) or (use == "needed" and few)
 
     def register(self, scan: ScanFeatures, landmark_filter: Filter) -> bool:
         """Update the filter with the motion since the newest scan of the window; True when the surfaces agree."""
         self.registered, self.linked, self.vouched = None, False, False
-        if not (self.scans and self.are_used(scan.beams)):
+        if not (self.scans and self.are_used(scan)):
             return False
         since, spread = self._poses(self.scans, landmark_filter)
         poses = [compose(since[-1], inverse(pose)) for pose in since]  # in the frame of the newest
@@ -182,7 +185,7 @@ class RecentScans:
         self, scan: ScanFeatures, graph: RoomGraph, features: FeatureTable, landmark_filter: Filter
     ) -> Surroundings:
         """A scan with what the window shows on its blind side of the room that the robot is in."""
-        if not (self.scans and scan.beams.blind and self.are_used(scan.beams)):
+        if not (self.scans and scan.beams.blind and self.are_used(scan)):
             return Surroundings.of(scan)
         newest_first, sight = self.scans[::-1], (scan.beams.bearings[0], scan.beams.bearings[-1])
         known, here = (features.rows["room"], features.rows["state"]), rooms_like(graph)
@@ -201,8 +204,12 @@ class RecentScans:
 
         `sure`: nothing speaks against the pose that it was taken at.
         """
-        if not self.are_used(scan.beams) or not self._moved(landmark_filter):
-            return
+        if not self.are_used(scan):
+            self.forget(landmark_filter)
+        elif self._moved(landmark_filter):
+            self._append(scan, match, graph, landmark_filter, sure)
+
+    def _append(self, scan: ScanFeatures, match: Match, graph: RoomGraph, landmark_filter: Filter, sure: bool) -> None:
         marks = np.array([self.next_mark, self.next_mark - 1])
         self.next_mark -= len(marks)
         landmark_filter.augment(*marks_seen(np.zeros(3), self.floor), marks)

@@ -64,6 +64,15 @@ def test_a_full_view_needs_no_window_and_a_lost_pose_empties_it(drive):
     assert (pipeline.filter.slot_ids >= 0).all()
 
 
+def test_a_full_view_has_a_window_while_scans_show_few_corners():
+    short = scripted_drive(seed=3, max_range_m=3.0)
+    runs = [(output, len(pipeline.recent.scans)) for pipeline, output, *_ in short.run(SlamConfig())]
+    few = [len(output.corners) < SlamConfig().localisation.least_corners for output, _ in runs]
+    assert [kept > 0 for _, kept in runs] == few
+    assert 0.2 < np.mean(few) < 0.9
+    assert all(output.panorama is None for output, _ in runs)  # no blind side is completed
+
+
 def test_a_map_with_a_window_goes_on_to_the_bit(drive, tmp_path):
     pipeline, cut = SlamPipeline(half()), len(drive.scans) // 2
     steps = list(zip(drive.odometry, drive.scans, strict=True))
