@@ -239,6 +239,8 @@ def test_options(tmp_path: Path) -> None:
         for path in (archive, carmen):
             with pytest.raises(LogError, match=f"--{option.replace('_', '-')}: .*'/x'"):
                 read_log(path, ReadOptions(**{option: "/x"}))
+    with pytest.raises(LogError, match="--scan-topic: '/x, /y' given"):  # as typed, twice
+        read_log(archive, ReadOptions(scan_topic=("/x", "/y")))
 
 
 def test_beams_all_around(tmp_path: Path) -> None:
