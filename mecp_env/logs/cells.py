@@ -62,8 +62,9 @@ def _row(number: int, text: str) -> Row:
 
 
 def _joined(found: re.Match[str]) -> str:
-    """The numbers of a list as one cell."""
-    return JOIN.join(found[1].replace(",", " ").split())
+    """The numbers of a list as one cell; the unit of a name, as in `x[m]`, behind it."""
+    words = found[1].replace(",", " ").split()
+    return f"_{words[0]}" if len(words) == 1 and numbers(words) is None else JOIN.join(words)
 
 
 def flat(cells: Sequence[str]) -> list[str]:

@@ -17,8 +17,9 @@ from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
 from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Sweep
 
-STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds"}
-HEADINGS = {"heading", "theta", "yaw", "th"}
+STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds", "datetime", "epoch"}
+STAMPS |= {"date time", "ros time", "unix time"}
+HEADINGS = {"heading", "theta", "yaw", "th", "phi", "psi", "orientation", "rotation"}
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
 QUATERNION = tuple({f"{word} {axis}" for word in ROTATIONS} | {f"q{axis}"} for axis in "xyzw")
 PREFIXES = {"odom", "odometry", "pose", "pos", "position", "robot", "field", "header"}  # words of names without meaning
@@ -28,6 +29,7 @@ UNITS = LENGTHS | {"rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians
 UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1.0) | dict.fromkeys(NANOSECONDS, 1e-9)
 LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
+NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
 NUMBERED = re.compile(r"\d+(?:[^A-Za-z]*(?:mm|cm|m))?\W*$")  # the end of a name of readings, perhaps with its unit
 IN_DEGREES = re.compile(r"\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*")  # a bearing that names its unit
 TURN_DEG, TURN_RAD = 360.0, 6.3
@@ -67,7 +69,7 @@ class Place:
         nanoseconds = None
         if stamp is not None and WHOLE & {words[stamp].word, words[stamp].unit_name}:
             nanoseconds = next((at for at, one in enumerate(words) if NANOSECONDS & {one.word, one.unit_name}), None)
-        position = tuple(at for axis in "xy" if (at := _first(words, {axis})) is not None)
+        position = tuple(at for axis in "xy" if (at := _first(words, {axis, f"p{axis}"})) is not None)
         units = np.array([one.unit for one in words])
         return cls(stamp, nanoseconds, position, _heading(words), units)
 
@@ -181,8 +183,9 @@ def _said(names: list[str], words: list[str]) -> dict[str, float]:
 
 
 def _readings(names: list[str], others: set[int]) -> list[int]:
-    """The columns of readings: what most names begin with. Raises `LogError`."""
-    stem = Counter(map(_stem, names)).most_common(1)[0][0]
+    """The columns of readings: what most names begin with, but for those of intensities. Raises `LogError`."""
+    stems = Counter(stem for name in names if not NO_RANGES.search(stem := _stem(name)))
+    stem = next((stem for stem, _ in stems.most_common(1)), "")
     readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in others]
     if not FEWEST_BEAMS <= len(readings) <= MOST_BEAMS:
         raise LogError(f"first row has {len(readings)} readings, {FEWEST_BEAMS} to {MOST_BEAMS} needed; {EXPECTED}")

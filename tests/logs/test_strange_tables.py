@@ -127,6 +127,34 @@ def test_names_of_readings_in_radians(tmp_path: Path) -> None:
     assert any("bearings in rad" in note for note in log.notes)
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "time[s],x[m],y[m],yaw[rad]",
+        "Time(s),X (m),Y (m),Theta(rad)",
+        "ros_time,px,py,phi",
+        "datetime,pose.x,pose.y,orientation",
+    ],
+)
+def test_names_with_units_in_brackets_and_other_names(tmp_path: Path, head: str) -> None:
+    check(read(tmp_path, PLAIN.replace("t,x,y,heading", head)))
+
+
+@pytest.mark.parametrize("name", ["intensity_{}", "ranges.remission[{}]", "Quality {}"])
+def test_intensities_beside_readings_are_not_taken_for_them(tmp_path: Path, name: str) -> None:
+    """They are as many, and may come first."""
+    head, *rows = PLAIN.splitlines()
+    names = ",".join(name.format(k) for k in range(len(BEARINGS)))
+    intensities = ",".join(["47"] * len(BEARINGS))
+    check(read(tmp_path, "\n".join([f"{names},{head}", *(f"{intensities},{row}" for row in rows)])))
+
+
+def test_a_date_that_is_not_understood_comes_with_what_is(tmp_path: Path) -> None:
+    cells = [["01.03.2024 12:00:00", *map(str, pose)] for pose in POSES]
+    with pytest.raises(LogError, match=r"row 2 is the first that is damaged: 01\.03\.2024 .*dates as 2024-03-01"):
+        read(tmp_path, table("t,x,y,heading", cells))
+
+
 @pytest.mark.parametrize("name", ["{:g}deg", "beam_{:g}_deg", "{:g}°", "angle {:g} [deg]"])
 def test_names_of_readings_with_the_unit_of_their_bearing(tmp_path: Path, name: str) -> None:
     check(read(tmp_path, PLAIN.replace(NAMES, ",".join(map(name.format, DEGREES)))))
