@@ -19,7 +19,7 @@ LONGEST_LINE = 2**20
 COMMENTS = ("#", "%")
 SEPARATORS = (";", "\t", "|", ",")
 LIST, JOIN = re.compile(r"[\[(]([^\[\]()]*)[\])]"), "\x1f"
-PAIR = re.compile(r"([A-Za-z]+)\s*[:=]\s*([^\s,;]+)")  # a name with its value, as `theta: 12.5`
+PAIR = re.compile(r"(?<![A-Za-z])([A-Za-z]++)\s*+[:=]\s*+([^\s,;]++)")  # a name with its value, as `theta: 12.5`
 MISSING = {"", "-", "--", "?", "na", "n/a", "#n/a", "<na>", "null", "nil", "none", "nat", "missing"}
 NOT_FINITE = ("1.#inf", "-1.#inf", "1.#qnan", "-1.#ind")  # as old C libraries of Windows write them
 

@@ -30,7 +30,8 @@ UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1
 LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
-NUMBERED = re.compile(r"\d+(?:[^A-Za-z]*(?:mm|cm|m))?\W*$")  # the end of a name of readings, perhaps with its unit
+LONGEST_NAME = 80  # more of a name says nothing, and takes long to search
+NUMBERED = re.compile(r"\d+(?:[ _]*(?:mm|cm|m))?\W*$")  # the end of a name of readings, perhaps with its unit
 IN_DEGREES = re.compile(r"\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*")  # a bearing that names its unit
 TURN_DEG, TURN_RAD = 360.0, 6.3
 LEAST_SHARE = 0.5  # of the readings are in a row that is shorter than the names, at least
@@ -148,7 +149,7 @@ def columns_of(names: list[str], sample: list[str], view_deg: float | None, note
 
     Notes say what is not read. Raises `LogError`.
     """
-    names, words = one_each(names, sample), flat(sample)
+    names, words = [name[:LONGEST_NAME] for name in one_each(names, sample)], flat(sample)
     place = Place.of(names)
     _check_names(names, place)
     names = [IN_DEGREES.sub(r"\1", name) if IN_DEGREES.fullmatch(name) else name for name in names]

@@ -1,5 +1,6 @@
 """Tables as other programs write them: missing values, dates, quaternions, comments, a row per beam, wrong names."""
 
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -147,6 +148,14 @@ def test_intensities_beside_readings_are_not_taken_for_them(tmp_path: Path, name
     names = ",".join(name.format(k) for k in range(len(BEARINGS)))
     intensities = ",".join(["47"] * len(BEARINGS))
     check(read(tmp_path, "\n".join([f"{names},{head}", *(f"{intensities},{row}" for row in rows)])))
+
+
+@pytest.mark.parametrize("line", ["1" * 200_000 + "a", "1 " * 100_000 + "a", "a" * 200_000, "-" * 200_000 + "1_"])
+def test_long_names_cost_little_time(tmp_path: Path, line: str) -> None:
+    start = time.process_time()
+    with pytest.raises(LogError):
+        read(tmp_path, "t,x,y,heading," + ",".join(f"{line}{k}" for k in range(9)) + f"\n{line}")
+    assert time.process_time() - start < 10.0
 
 
 def test_a_date_that_is_not_understood_comes_with_what_is(tmp_path: Path) -> None:
