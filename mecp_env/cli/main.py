@@ -145,9 +145,14 @@ def parse(words: str, line: Line) -> Command:
     try:
         command = TypeAdapter(kind).validate_python(vars(chosen))
     except ValidationError as error:
-        raise ConfigError(re.sub(r"(^|; )option\.", r"\1--", describe(error, "option", Settings))) from None
+        raise ConfigError(re.sub(r"(^|; )option\.(\w+)", _as_typed, describe(error, "option", Settings))) from None
     command.check(line)
     return command
+
+
+def _as_typed(found: re.Match[str]) -> str:
+    """The option of a field, as a user types it."""
+    return f"{found[1]}--{found[2].replace('_', '-')}"
 
 
 if __name__ == "__main__":

@@ -133,7 +133,7 @@ def _check_header(image: Image.Image, most: int) -> None:
     if width * height > most:
         raise LayoutError(f"{width} x {height} pixels, at most {most} in all; {SMALLER}")
     if image.mode not in MODES:
-        raise LayoutError(f"mode {image.mode}, one of {', '.join(MODES)}; save it with 8 bits per channel")
+        raise LayoutError(f"mode {image.mode}, one of {', '.join(MODES)}; save it as grey or RGB of 8 bits per channel")
 
 
 def grey(image: Image.Image) -> tuple[NDArray[np.uint8], Bools]:

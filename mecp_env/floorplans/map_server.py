@@ -31,6 +31,10 @@ SAVED_SHARE = 0.999  # of a picture without free cells has the marks of a map_sa
 NEAR_WHITE = 230  # a level from here on is free without a doubt
 WITHOUT_POINT = re.compile(r"[-+]?[0-9]+[eE][-+]?[0-9]+")  # a number that PyYAML does not know
 HALF = 50  # percent: in the modes scale and raw a cell less likely to be occupied is floor
+EXPECTED = (
+    "expected as of map_server: resolution in m per pixel, origin [x, y, yaw] in m (within 900; for a plan, 0 will do) "
+    "and rad, thresholds as shares from 0 to 1"
+)
 
 Offset = Annotated[float, Strict(), Field(ge=-900.0, le=900.0)]
 Yaw = Annotated[float, Strict(), Field(ge=-2.0 * math.pi, le=2.0 * math.pi)]
@@ -41,6 +45,10 @@ def _with_yaw(origin: Any) -> Any:
     return [*origin, 0.0] if isinstance(origin, list) and len(origin) == 2 else origin
 
 
+def _lower(mode: Any) -> Any:
+    return mode.lower() if isinstance(mode, str) else mode
+
+
 class Sheet(Document):
     """The fields of a yaml file that are used."""
 
@@ -49,7 +57,7 @@ class Sheet(Document):
     image: Annotated[str, Field(min_length=1, max_length=500)]
     resolution: Annotated[float, Strict(), Field(ge=0.005, le=1.0)]  # m per pixel
     origin: Annotated[tuple[Offset, Offset, Yaw], BeforeValidator(_with_yaw)]  # m, rad, of the lower left pixel
-    mode: Literal["trinary", "scale", "raw"] = "trinary"
+    mode: Annotated[Literal["trinary", "scale", "raw"], BeforeValidator(_lower)] = "trinary"  # in any case, as in nav2
     negate: bool = False
     free_thresh: Share = 0.196
     occupied_thresh: Share = 0.65
@@ -139,7 +147,7 @@ def _tell_moved(path: Path, given: str, image: Path) -> None:
     """Warn where the image is not at the path that the yaml file gives."""
     if _within(path.parent.resolve(), given) != image:
         place = str(image.relative_to(path.parent.resolve()))
-        said = f"image: {shown(given)} is not there; {place!r:.80} beside the yaml file is read instead"
+        said = f"image: {shown(given)} is not there, or not in this folder; {place!r:.80} beside the yaml file is read"
         warnings.warn(f"{path.name!r:.80}: {said}", PlanWarning, stacklevel=4)
 
 
@@ -183,7 +191,10 @@ def _sheet(path: Path) -> Sheet:
     foreign = of_yaml(fields) if "image" not in fields else ""
     if foreign.startswith("this is"):
         raise LayoutError(foreign)
-    return Sheet(**{str(name): value for name, value in fields.items()})
+    try:
+        return Sheet(**{str(name): value for name, value in fields.items()})
+    except LayoutError as error:
+        raise LayoutError(f"{error}; {EXPECTED}") from None
 
 
 def _beside(path: Path, given: str) -> Path:
@@ -208,7 +219,7 @@ def _beside(path: Path, given: str) -> Path:
 
 def _missed(folder: Path, given: str, name: str) -> str:
     """What an error says of an image that is not there: the nearest name, or what to do."""
-    beside = f" and no {shown(name)} beside the yaml file" if name != given else ""
+    beside = f" and no {shown(name)} beside the yaml file" if name not in ("", given) else ""
     files = [one for one in _names(folder) if not one.endswith((".yaml", ".yml")) and _within(folder, one)]
     return beside + (guess(name, files) or "; put the picture there, or correct the name")
 

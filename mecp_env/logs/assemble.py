@@ -14,28 +14,18 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between, chained, composed, interpolated
+from mecp_env.logs.angles import FARTHEST_M, headings_in_radians, take_radians
 from mecp_env.logs.clock import FASTEST_M_S, Clock, ascending_rows, carried, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
 from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean, take_metres
 
-FARTHEST_M = 1e8  # no pose is farther: world coordinates have millions of m
 GAP = 5.0  # medians between two scans
 SLACK_M = 0.5  # a motion that is longer, and faster than a robot, is a jump of the odometry;
 JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
 FEW_SHARE = 0.5  # of the scans have odometry, at least; else the clocks may differ
 BLIND_SHARE = 0.8  # of the readings measure nothing: more may have a wrong limit
-STEP_M, STEPS = 0.1, 20  # driven, from whose direction the meaning of headings is seen, so often at least
-LONGEST_M = 1e5  # of the path that is looked at
-AGREE = 0.95  # a resultant of so much between headings and directions says that they belong together,
-BETTER = 0.5  # if it misses 1 by less than so much of what it does for headings in rad
-ROUND = 0.5  # a resultant of the directions below: the robot drove in all of them
-MEANINGS = {
-    "in degrees, taken as such": math.pi / 180.0,
-    "clockwise, turned round": -1.0,
-    "clockwise in degrees, turned round": -math.pi / 180.0,
-}
 REACH_M = 2.0  # no laser is mounted farther from the robot's centre
 CENTRED = "the laser is taken as centred on the robot: the file has no mounting pose (--config.sensor.x-m gives one)"
 WAY_OUT = "--clock received takes the order of the file in place of the stamps (in a bag, the times of receipt)"
@@ -60,12 +50,13 @@ def assemble(
     _leave_out_still(recording)
     set_stamps(recording, clock)
     take_metres(recording)
+    take_radians(recording)
     readings = _readings(recording, max_range_m, field_of_view_deg)
     sweeps = recording.sweeps
-    mount, reference = _mount(recording, sweeps, counts)
+    mount, reference = _mount(recording, sweeps)
     mount[2] = math.remainder(mount[2] + math.radians(laser_yaw_deg), 2.0 * math.pi)
     t = np.array([sweep.t for sweep in sweeps])
-    odometry = _in_radians(_odometry(recording, sweeps), recording.notes) if use_odometry else Track()
+    odometry = headings_in_radians(_odometry(recording, sweeps), recording.notes) if use_odometry else Track()
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
@@ -140,48 +131,7 @@ def _odometry(recording: Recording, sweeps: list[Sweep]) -> Track:
     return poses if len(poses.t) == len(sweeps) else recording.odometry
 
 
-def _in_radians(track: Track, notes: list[str]) -> Track:
-    """The track, whose headings are counter-clockwise in rad; others are seen by where the robot drives, and noted."""
-    poses = np.array(track.poses, np.float64).reshape(-1, 3)
-    poses = poses[(abs(poses) < FARTHEST_M).all(axis=1)]
-    driven = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T)) if len(poses) > 1 else np.zeros(1)
-    rows = np.unique(np.searchsorted(driven, np.arange(0.0, min(float(driven[-1]), LONGEST_M), STEP_M)))
-    meaning = _meaning(poses[rows]) if len(rows) > STEPS else None
-    if meaning is None:
-        return track
-    notes.append(f"warning: by where the robot drives, the headings of the odometry are {meaning}")
-    factors = np.array([1.0, 1.0, MEANINGS[meaning]])
-    return Track(track.t, [np.asarray(pose, np.float64) * factors for pose in track.poses], track.order)
-
-
-def _meaning(poses: Array) -> str | None:
-    """What the headings of poses (n,3) seem to be; None where they are counter-clockwise in rad, or it is not clear.
-
-    Motion backwards counts like motion forwards, unless the robot came round: then most of it is forwards.
-    """
-    steps = np.diff(poses[:, :2], axis=0)
-    direction = np.arctan2(steps[:, 1], steps[:, 0])
-    for power in (1, 2) if abs(np.exp(1j * direction).mean()) < ROUND else (2,):
-        stated = _agreement(poses, direction, 1.0, power)
-        if stated >= AGREE:
-            return None
-        fits = {meaning: _agreement(poses, direction, factor, power) for meaning, factor in MEANINGS.items()}
-        meaning = max(fits, key=lambda meaning: fits[meaning])
-        if fits[meaning] >= AGREE and 1.0 - fits[meaning] < BETTER * (1.0 - stated):
-            return meaning
-    return None
-
-
-def _agreement(poses: Array, direction: Array, factor: float, power: int) -> float:
-    """How constant the angle is between headings, times a factor, and directions of motion (n-1,): 1 is always the
-    same, 0 any; with `power` 2 forwards or backwards.
-    """
-    heading, turn = factor * poses[:-1, 2], factor * np.diff(poses[:, 2])
-    middle = heading + 0.5 * np.remainder(turn + math.pi, 2.0 * math.pi) - 0.5 * math.pi
-    return float(abs(np.exp(power * 1j * (direction - middle)).mean()))
-
-
-def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> tuple[Array, Track]:
+def _mount(recording: Recording, sweeps: list[Sweep]) -> tuple[Array, Track]:
     """The mounting pose (3,) of the laser, and the reference path.
 
     Where the poses of laser and robot differ by a constant, that is the mounting pose; otherwise the first has been
@@ -189,19 +139,19 @@ def _mount(recording: Recording, sweeps: list[Sweep], counts: Counter[str]) -> t
     """
     pairs = [(s.T_odom_robot, s.T_odom_laser) for s in sweeps if s.T_odom_laser is not None]
     if not pairs:
-        return _stated(recording, counts, CENTRED), recording.reference
+        return _stated(recording, CENTRED), recording.reference
     T_robot, T_laser = (np.array(poses, np.float64) for poses in zip(*pairs, strict=True))
     middle, fixed = _middle(between(T_robot, T_laser))
     if fixed:
-        return _near(middle, counts), recording.reference
+        return _near(middle, recording), recording.reference
     corrected = Track([sweep.t for sweep in sweeps], list(T_laser))
-    return _stated(recording, counts), recording.reference if recording.reference.t else corrected
+    return _stated(recording), recording.reference if recording.reference.t else corrected
 
 
-def _stated(recording: Recording, counts: Counter[str], *notes: str) -> Array:
+def _stated(recording: Recording, *notes: str) -> Array:
     """The mounting pose (3,) that the log states; zero where it states none, with notes unless each laser has one."""
     if recording.T_robot_laser is not None:
-        return _near(recording.T_robot_laser, counts)
+        return _near(recording.T_robot_laser, recording)
     recording.notes += () if recording.mounts else notes
     return np.zeros(3)
 
@@ -214,11 +164,15 @@ def _middle(offsets: Array) -> tuple[Array, bool]:
     return middle, bool(2 * fixed.sum() > len(fixed))
 
 
-def _near(T_robot_laser: Array, counts: Counter[str]) -> Array:
-    """The mounting pose; zero for one that is none."""
+def _near(T_robot_laser: Array, recording: Recording) -> Array:
+    """The mounting pose; zero, with a note, for one that is none."""
     if (abs(T_robot_laser) <= (REACH_M, REACH_M, 2.0 * math.pi)).all():
         return np.array([*T_robot_laser[:2], math.remainder(float(T_robot_laser[2]), 2.0 * math.pi)])
-    counts["impossible mounting pose, taken as centred"] += 1
+    x, y, heading = T_robot_laser.tolist()
+    recording.notes.append(
+        f"warning: mounting pose {x:g} m, {y:g} m, {heading:g} rad: at most {REACH_M:g} m from the robot's centre and "
+        "a turn expected; the laser is taken as centred (--config.sensor.x-m gives another)"
+    )
     return np.zeros(3)
 
 

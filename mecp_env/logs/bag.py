@@ -72,7 +72,12 @@ class BagLog:
         laser = self._laser(_name(message.header.frame_id))
         off = abs(view[0] + (len(ranges) - 1) * view[1] - message.angle_max) > 2.0 * abs(view[1])
         self.recording.counts["scans whose last beam is not at their angle_max"] += off
-        self.recording.add(Sweep(_stamp(message.header, received), ranges, geometry, order=received, laser=laser))
+        self.recording.add(Sweep(self._stamp(message.header, received), ranges, geometry, order=received, laser=laser))
+
+    def _stamp(self, header: Any, received: float) -> float:
+        """The stamp of a message; when it was received, counted, for a driver that sets none."""
+        self.recording.counts["messages without a stamp, as received"] += not _seconds(header) > 0.0
+        return _stamp(header, received)
 
     def _laser(self, frame: str) -> int:
         """Which laser has this frame. Raises `LogError` for too many."""
@@ -93,7 +98,7 @@ class BagLog:
         self.robot_frame = self.robot_frame or _name(message.child_frame_id)
         self.tilted += T[2, 2] < UPRIGHT
         self.recording.budget.take(2 * POSE_BYTES)
-        stamp, twist = _stamp(message.header, received), message.twist.twist
+        stamp, twist = self._stamp(message.header, received), message.twist.twist
         self.recording.odometry.add(stamp, planar(T), received)
         self.speeds.add(stamp, np.array([twist.linear.x, twist.linear.y, twist.angular.z]), received)
 
@@ -238,9 +243,13 @@ def _step(message: Any) -> float:
 
 
 def _stamp(header: Any, received: float) -> float:
-    """The stamp of a message; when it was received, for a driver that sets none."""
-    stamp = header.stamp.sec + 1e-9 * header.stamp.nanosec
-    return float(stamp) if stamp > 0.0 else received
+    """s of the stamp of a message; when it was received, for a driver that sets none."""
+    stamp = _seconds(header)
+    return stamp if stamp > 0.0 else received
+
+
+def _seconds(header: Any) -> float:
+    return float(header.stamp.sec + 1e-9 * header.stamp.nanosec)
 
 
 def _choose_frame(log: BagLog, frame: str | None) -> None:

@@ -25,7 +25,9 @@ ROW_BYTES = 32  # of a row, without its pose
 TURN = 2.0 * math.pi
 ABOUT_A_TURN = 1.05 * TURN
 LEAST_SHARE = 0.75  # of the usual number of beams: a sweep with fewer is cut off
-NEAR_STEPS = 1.5  # of the usual spacing, within which a beam stands for the bearing beside it
+NEAR_STEPS = 1.5  # of the usual spacing, within which a beam stands for the bearing beside it,
+EVEN_STEPS, EVEN_SHARE = 0.1, 0.95  # unless so many bearings are so near to whole spacings: then rows may be missing
+LEAST_GAP = math.radians(20.0)  # a wider one is not seen: bearings count from it, whatever they count from in the table
 CLOSED_STEPS = 3.0  # by which a view may miss a whole turn
 
 
@@ -92,13 +94,14 @@ def read_beam_rows(rows: Iterable[Row], columns: BeamColumns, recording: Recordi
     if not beams.bearing:
         return
     bearing, unit = _in_radians(np.array(beams.bearing), columns.unit)
+    bearing = _behind_gap(bearing)
     whole, usual = _whole(_ends(beams, bearing), recording)
     recording.notes.append(f"a row per beam: {len(whole)} scans of about {usual} rows, bearings in {unit}")
-    geometry = _geometry([bearing[part] for part in whole], usual)
+    geometry, near_steps = _geometry([bearing[part] for part in whole], usual)
     distance = np.array(beams.distance)
     for place, part in enumerate(whole):
         pose = beams.poses[part.start] if beams.poses else None
-        ranges = _on_grid(bearing[part], distance[part], geometry)
+        ranges = _on_grid(bearing[part], distance[part], geometry, near_steps * abs(geometry.step_rad))
         recording.add(Sweep(beams.t[part.start], ranges, geometry, pose, order=float(place)))
 
 
@@ -106,6 +109,20 @@ def _in_radians(bearing: Array, unit: str) -> tuple[Array, str]:
     """Bearings (n,) rad, and their unit in the table; where it is not known, those beyond a turn in rad are degrees."""
     unit = unit or ("degrees" if abs(bearing).max() > ABOUT_A_TURN else "rad")
     return UNITS[unit] * bearing, unit
+
+
+def _behind_gap(bearing: Array) -> Array:
+    """Bearings (n,) rad, which jump by a turn only in a part that the laser does not see, where there is one."""
+    if np.ptp(bearing) < TURN - LEAST_GAP:
+        return bearing
+    ring = np.sort(np.remainder(bearing, TURN))
+    gaps = np.diff(ring, append=ring[0] + TURN)
+    widest = int(gaps.argmax())
+    if gaps[widest] < LEAST_GAP:
+        return bearing
+    middle = ring[widest] + 0.5 * gaps[widest] - TURN
+    found: Array = middle + np.remainder(bearing - middle, TURN)
+    return found
 
 
 def _whole(ends: Ints, recording: Recording) -> tuple[list[slice], int]:
@@ -139,17 +156,36 @@ def _ends(beams: Beams, bearing: Array) -> Ints:
     return np.concatenate(([0], begins, [len(bearing)]))
 
 
-def _geometry(sweeps: list[Array], beams: int) -> Geometry:
-    """As many beams as a sweep usually has, evenly over what they usually see; over a turn where that is nearly one."""
+def _geometry(sweeps: list[Array], beams: int) -> tuple[Geometry, float]:
+    """The bearings that the sweeps have, and how many spacings beside one a beam may be.
+
+    Where spacings are even, all of them, though some rows are missing. Else as many beams as a sweep usually has,
+    evenly over what they usually see, and over a turn where that is nearly one.
+    """
     first = float(np.median([sweep.min() for sweep in sweeps]))
     last = float(np.median([sweep.max() for sweep in sweeps]))
+    near_steps, even = NEAR_STEPS, _even_beams(sweeps, first, last)
+    if even is not None:
+        beams, near_steps = even, 0.5
     step = (last - first) / (beams - 1)
-    if last - first > TURN - CLOSED_STEPS * step:
-        return Geometry(beams, first, TURN / beams)
-    return Geometry(beams, first, step)
+    if last - first > TURN - CLOSED_STEPS * step and even is None:
+        return Geometry(beams, first, TURN / beams), near_steps
+    return Geometry(beams, first, step), near_steps
 
 
-def _on_grid(bearing: Array, distance: Array, geometry: Geometry) -> Array:
+def _even_beams(sweeps: list[Array], first: float, last: float) -> int | None:
+    """How many bearings there are from the first to the last; None where they are not evenly spaced."""
+    steps = np.concatenate([np.diff(np.sort(sweep)) for sweep in sweeps])
+    steps = steps[steps > 0.0]
+    beams = round((last - first) / float(np.median(steps))) + 1 if len(steps) else 0
+    if not FEWEST_BEAMS <= beams <= MOST_BEAMS:
+        return None
+    place = (np.concatenate(sweeps) - first) * (beams - 1) / (last - first)
+    even = (abs(place - np.rint(place)) < EVEN_STEPS).mean() >= EVEN_SHARE
+    return beams if even else None
+
+
+def _on_grid(bearing: Array, distance: Array, geometry: Geometry, near_rad: float) -> Array:
     """(B,) m of the beams (n,) nearest to each bearing of a geometry; nan where none is near."""
     order = np.argsort(bearing, kind="stable")
     bearing, distance = bearing[order], distance[order]
@@ -157,5 +193,5 @@ def _on_grid(bearing: Array, distance: Array, geometry: Geometry) -> Array:
     around = np.concatenate((distance[-1:], distance, distance[:1]))
     after = np.searchsorted(ring, geometry.angles).clip(1, len(ring) - 1)
     nearest = np.where(geometry.angles - ring[after - 1] <= ring[after] - geometry.angles, after - 1, after)
-    near = abs(ring[nearest] - geometry.angles) <= NEAR_STEPS * abs(geometry.step_rad)
+    near = abs(ring[nearest] - geometry.angles) <= near_rad
     return np.where(near, around[nearest], math.nan)

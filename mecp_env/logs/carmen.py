@@ -66,7 +66,7 @@ class CarmenLog:
                 READERS[words[0]](self, words)
             else:
                 self.counts["lines of another laser" if words[0] in OTHER_LASERS else "lines of other messages"] += 1
-                self.others |= {words[0]: None} if len(self.others) < NAMED else {}
+                self.others |= {words[0][:20]: None} if len(self.others) < NAMED else {}
         except LogError:
             raise
         except (ValueError, IndexError):
@@ -223,7 +223,7 @@ def _message(log: CarmenLog, asked: str | None) -> str:
 
 
 def _found(log: CarmenLog) -> str:
-    others = [f"the first of others: {', '.join(f'{word!r:.20}' for word in log.others)}"] if log.others else []
+    others = [f"the first of others: {', '.join(map(repr, log.others))}"] if log.others else []
     return ", ".join((f"{log.line} lines", *(f"{n} {what}" for what, n in log.counts.items()), *others))
 
 

@@ -19,7 +19,7 @@ LONGEST_LINE = 2**20
 COMMENTS = ("#", "%")
 SEPARATORS = (";", "\t", "|", ",")
 LIST, JOIN = re.compile(r"[\[(]([^\[\]()]*)[\])]"), "\x1f"
-PAIR = re.compile(r"([A-Za-z]+)\s*[:=]\s*([^\s,;]+)")  # a name with its value, as `theta: 12.5`
+PAIR = re.compile(r"(?<![A-Za-z])([A-Za-z]++)\s*+[:=]\s*+([^\s,;]++)")  # a name with its value, as `theta: 12.5`
 MISSING = {"", "-", "--", "?", "na", "n/a", "#n/a", "<na>", "null", "nil", "none", "nat", "missing"}
 NOT_FINITE = ("1.#inf", "-1.#inf", "1.#qnan", "-1.#ind")  # as old C libraries of Windows write them
 
@@ -62,8 +62,9 @@ def _row(number: int, text: str) -> Row:
 
 
 def _joined(found: re.Match[str]) -> str:
-    """The numbers of a list as one cell."""
-    return JOIN.join(found[1].replace(",", " ").split())
+    """The numbers of a list as one cell; the unit of a name, as in `x[m]`, behind it."""
+    words = found[1].replace(",", " ").split()
+    return f"_{words[0]}" if len(words) == 1 and numbers(words) is None else JOIN.join(words)
 
 
 def flat(cells: Sequence[str]) -> list[str]:

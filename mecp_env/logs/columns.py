@@ -17,16 +17,22 @@ from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
 from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Sweep
 
-STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds"}
-HEADINGS = {"heading", "theta", "yaw", "th"}
+STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds", "datetime", "epoch"}
+STAMPS |= {"date time", "ros time", "unix time"}
+HEADINGS = {"heading", "theta", "yaw", "th", "phi", "psi", "orientation", "rotation"}
 ROTATIONS = ("orientation", "rotation", "quaternion", "quat", "q")
 QUATERNION = tuple({f"{word} {axis}" for word in ROTATIONS} | {f"q{axis}"} for axis in "xyzw")
 PREFIXES = {"odom", "odometry", "pose", "pos", "position", "robot", "field", "header"}  # words of names without meaning
 WHOLE, NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}  # the two columns of a stamp of ROS
-UNITS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
+LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
+UNITS = LENGTHS | {"rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
 UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1.0) | dict.fromkeys(NANOSECONDS, 1e-9)
 LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
+NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
+LONGEST_NAME = 80  # more of a name says nothing, and takes long to search
+NUMBERED = re.compile(r"\d+(?:[ _]*(?:mm|cm|m))?\W*$")  # the end of a name of readings, perhaps with its unit
+IN_DEGREES = re.compile(r"\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*")  # a bearing that names its unit
 TURN_DEG, TURN_RAD = 360.0, 6.3
 LEAST_SHARE = 0.5  # of the readings are in a row that is shorter than the names, at least
 
@@ -64,7 +70,7 @@ class Place:
         nanoseconds = None
         if stamp is not None and WHOLE & {words[stamp].word, words[stamp].unit_name}:
             nanoseconds = next((at for at, one in enumerate(words) if NANOSECONDS & {one.word, one.unit_name}), None)
-        position = tuple(at for axis in "xy" if (at := _first(words, {axis})) is not None)
+        position = tuple(at for axis in "xy" if (at := _first(words, {axis, f"p{axis}"})) is not None)
         units = np.array([one.unit for one in words])
         return cls(stamp, nanoseconds, position, _heading(words), units)
 
@@ -124,6 +130,7 @@ class Columns:
     names: list[str]
     place: Place
     readings: list[int]
+    scale: Array  # (B,) m per unit of the readings
     geometry: Geometry
 
     def sweep(self, words: list[str], order: int) -> Sweep:
@@ -133,7 +140,7 @@ class Columns:
             raise ValueError
         ranges = np.full(len(self.readings), math.nan)
         ranges[: len(there)] = np.fromiter(map(number, there), np.float64, len(there))
-        ranges *= self.place.units[self.readings]
+        ranges *= self.scale
         return Sweep(self.place.time(words), ranges, self.geometry, self.place.pose(words), order=float(order))
 
 
@@ -142,15 +149,27 @@ def columns_of(names: list[str], sample: list[str], view_deg: float | None, note
 
     Notes say what is not read. Raises `LogError`.
     """
-    names, words = one_each(names, sample), flat(sample)
+    names, words = [name[:LONGEST_NAME] for name in one_each(names, sample)], flat(sample)
     place = Place.of(names)
-    if not place.complete or (place.stamp is None and not place.position):
-        raise LogError(f"first row {', '.join(names[:6])!r:.80}: {EXPECTED}")
+    _check_names(names, place)
+    names = [IN_DEGREES.sub(r"\1", name) if IN_DEGREES.fullmatch(name) else name for name in names]
     readings, said = _readings(names, place.used), _said(names, words)
     used = {*place.used, *readings, *(at for at, name in enumerate(names) if parsed(name).word in said)}
     left = [name for at, name in enumerate(names) if at not in used and name]
     notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
-    return Columns(names, place, readings, _geometry([names[at] for at in readings], view_deg, said, notes))
+    of_beams = [names[at] for at in readings]
+    scale = np.array([LENGTHS.get(parsed(name).unit_name, 1.0) for name in of_beams])
+    return Columns(names, place, readings, scale, _geometry(of_beams, view_deg, said, notes))
+
+
+def _check_names(names: list[str], place: Place) -> None:
+    """Raise `LogError` where the names are not those of a table with a row per sweep."""
+    first = f"first row {', '.join(names[:6])!r:.80}"
+    if not place.complete:
+        there = "x and y without a heading (or the other way round), and without bearing and range of each beam"
+        raise LogError(f"{first} has {there}; {EXPECTED}")
+    if place.stamp is None and not place.position:
+        raise LogError(f"{first} names neither a stamp nor a pose; {EXPECTED}")
 
 
 def _said(names: list[str], words: list[str]) -> dict[str, float]:
@@ -165,8 +184,9 @@ def _said(names: list[str], words: list[str]) -> dict[str, float]:
 
 
 def _readings(names: list[str], others: set[int]) -> list[int]:
-    """The columns of readings: what most names begin with. Raises `LogError`."""
-    stem = Counter(map(_stem, names)).most_common(1)[0][0]
+    """The columns of readings: what most names begin with, but for those of intensities. Raises `LogError`."""
+    stems = Counter(stem for name in names if not NO_RANGES.search(stem := _stem(name)))
+    stem = next((stem for stem, _ in stems.most_common(1)), "")
     readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in others]
     if not FEWEST_BEAMS <= len(readings) <= MOST_BEAMS:
         raise LogError(f"first row has {len(readings)} readings, {FEWEST_BEAMS} to {MOST_BEAMS} needed; {EXPECTED}")
@@ -175,7 +195,7 @@ def _readings(names: list[str], others: set[int]) -> list[int]:
 
 def _stem(name: str) -> str:
     """A name without its number; the names of readings have the same."""
-    numbered = re.search(r"\d+\W*$", name)
+    numbered = NUMBERED.search(name)
     return "" if name and numbers([name]) is not None else name[: numbered.start()] if numbered else f"{name} "
 
 
@@ -191,6 +211,7 @@ def _geometry(names: list[str], view_deg: float | None, said: dict[str, float], 
         fault = "columns of readings: bearings that are not evenly spaced"
         return Geometry.even(bearings, fault, unit_rad=1.0 if in_radians else math.radians(1.0))
     if view_deg is None:
-        raise LogError("names of readings are no bearings in degrees within a turn: --field-of-view-deg is needed")
+        said_so = f"names of readings, {names[0]!r:.40} to {names[-1]!r:.40}, are no bearings in degrees within a turn"
+        raise LogError(f"{said_so}: --field-of-view-deg is needed")
     view = math.radians(view_deg)
     return Geometry(len(names), -0.5 * view, view / (len(names) - 1))

@@ -112,6 +112,7 @@ SHAPES = {  # n scans of B beams
     "mount": (3,),
 }
 NEEDED = ("t", "ranges", "angles")
+NO_NUMBERS = "cV"  # complex numbers and records
 
 
 def read_archive(path: Path) -> Recording:
@@ -160,8 +161,8 @@ def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo, budget: Budge
         version = np.lib.format.read_magic(file)
         read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
         shape, _, kind = read(file)
-    if kind.hasobject:
-        raise LogError(f"{member.filename}: damaged, or Python objects instead of numbers")
+    if kind.hasobject or kind.kind in NO_NUMBERS:
+        raise LogError(f"{member.filename}: damaged, or of the type {kind!s:.40}, not numbers")
     counted_again = 8 if member.filename == "ranges.npy" else 0  # with the sweeps
     budget.take(math.prod(shape) * (max(kind.itemsize, 8) - counted_again))
 

@@ -174,8 +174,10 @@ def _is_carmen(path: Path, suffix: str) -> bool:
 def _check_options(options: ReadOptions, *of_bags: str) -> None:
     """Raise `LogError` where one of the options of bags is given with another format."""
     for name in of_bags:
-        if getattr(options, name) is not None:
-            raise LogError(f"--{name.replace('_', '-')}: {getattr(options, name)!r:.80} given, but this is no bag")
+        given = options.scan_topics if name == "scan_topic" else getattr(options, name)
+        if given:
+            said = given if isinstance(given, str) else ", ".join(given)
+            raise LogError(f"--{name.replace('_', '-')}: {said!r:.80} given, but this is no bag")
 
 
 def _only(topics: tuple[str, ...]) -> str | None:

@@ -57,14 +57,16 @@ class Geometry(NamedTuple):
 
     @classmethod
     def even(cls, angles: Array, fault: str, unit_rad: float = 1.0, max_range_m: float = math.inf) -> Geometry:
-        """That of angles (B,) in some unit, which may jump by a turn.
+        """That of angles (B,) in some unit, which may jump by a turn of rad or degrees.
 
         Raises `LogError` that says `fault` where they are not evenly spaced.
         """
-        for rad in (unit_rad * angles, np.unwrap(unit_rad * angles)):
-            even = np.linspace(rad[0], rad[-1], len(rad))
-            if abs(rad - even).max() <= UNEVEN * abs(even[1] - even[0]):
-                return cls(len(rad), float(even[0]), float(even[1] - even[0]), 0.0, max_range_m)
+        for turn in (math.inf, 2.0 * math.pi, 360.0):
+            straight = angles if math.isinf(turn) else np.unwrap(angles, period=turn)
+            even = np.linspace(straight[0], straight[-1], len(straight))
+            if abs(straight - even).max() <= UNEVEN * abs(even[1] - even[0]):
+                start, step = unit_rad * even[0], unit_rad * (even[1] - even[0])
+                return cls(len(angles), float(start), float(step), 0.0, max_range_m)
         raise LogError(fault)
 
 

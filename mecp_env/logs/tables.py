@@ -23,6 +23,7 @@ TABLES = (".csv", ".tsv", ".txt", ".dat")
 HEAD = 10  # rows that may tell the names and where lists are
 START = 2**12  # bytes of a table before which it says what it is of
 RPLIDAR = re.compile(rb"rplidar|slamtec|angule|theta:\s*[\d.]+\s+dist:", re.IGNORECASE)  # as its tools write it
+CELLS = "expected are numbers, and dates as 2024-03-01T12:00:00"
 TICKS, WHEEL_M, AXLE_M = 2000, 0.077, 0.330  # of BreezySLAM's `Rover`: ticks of half a turn, wheel radius, wheels apart
 MOST_TICKS = 1e18  # of a counter, and microseconds of a stamp
 FIRST_RANGE, DAT_VIEW_DEG, DAT_AHEAD_M, DAT_LIMIT_M = 24, 240.0, 0.145, 5.6  # of its URG-04LX
@@ -38,7 +39,7 @@ def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     (_read_dat if is_dat else _read_csv)(data, recording, field_of_view_deg)
     if not recording.sweeps:
         found = f"no row that can be read ({recording.counts['damaged rows']} damaged rows)"
-        raise LogError("; ".join((found, *recording.notes)))
+        raise LogError("; ".join((found, *recording.notes, CELLS)))
     return recording
 
 

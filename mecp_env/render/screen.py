@@ -266,10 +266,10 @@ class Film:
         """Write the film as a GIF that lasts about so long and repeats; the last frame stays a while."""
         colours = _palette(self)  # one for all: frames then differ only where something moved
         pictures = (Image.fromarray(self[row]) for row in range(len(self)))
-        plain = [picture.quantize(palette=colours, dither=Image.Dither.NONE) for picture in pictures]
-        each = max(20, round(1000.0 * seconds / len(plain)))
-        times = [each] * (len(plain) - 1) + [LAST_FRAME_MS]
-        plain[0].save(path, save_all=True, append_images=plain[1:], duration=times, loop=0, optimize=True)
+        plain = (picture.quantize(palette=colours, dither=Image.Dither.NONE) for picture in pictures)
+        each = max(20, round(1000.0 * seconds / len(self)))
+        times = [each] * (len(self) - 1) + [LAST_FRAME_MS]
+        next(plain).save(path, save_all=True, append_images=plain, duration=times, loop=0, optimize=True)
 
 
 def _palette(frames: Film) -> Image.Image:

@@ -190,6 +190,7 @@ def test_a_line_that_nothing_is_run_for_says_why(line: str, code: int, said: str
         ("demo --layout=", "''"),
         ("demo --layout castle", "castle: no such file or building; there are furnished, office, paper, twins, two_"),
         ("one-scan --layout easy", "easy: which buildings?"),
+        ("slam a.log --laser-yaw-deg 400", "--laser-yaw-deg: Input should be less than or equal to 180 (given: 400.0)"),
         ("one-scan --step -5", "--step: Input should be greater than or equal to 0 (given: -5)"),
         ("demo --layout two_rooms --seed -1", "--seed: Input should be greater than or equal to 0 (given: -1)"),
         ("demo --layout two_rooms --out plans/a.json/run", "--out: "),

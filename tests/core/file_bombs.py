@@ -65,14 +65,16 @@ def pages() -> Iterator[tuple[str, bytes]]:
 
 def maps() -> Iterator[tuple[str, bytes]]:
     """Maps: a zip of a JSON text and of arrays."""
+    from mecp_env.slam.map_file import FILE
+
     structures = {f"{kind} {size}": f'{{"@list": {items(kind, size)}}}' for kind in ITEMS for size in (10**6, 10**7)}
-    structures["arrays"] = '{"@array": [{"@bytes": ["|u1", [44000000], 0]}, true]}'
+    structures["arrays"] = '{"@array": [{"@bytes": ["|u1", [42000000], 0]}, true]}'
     for name, structure in structures.items():
         file = io.BytesIO()
-        head = json.dumps({"format": "mecp_env map", "version": 6, "package": "0.1.0"})[:-1]
+        head = json.dumps(FILE._asdict())[:-1]
         with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED, compresslevel=9) as archive:
             archive.writestr("state.json", f'{head}, "state": {structure}}}')
-            archive.writestr("arrays.bin", bytes(40_000_000 * (name == "arrays")) + noise(4_900_000))
+            archive.writestr("arrays.bin", bytes(38_000_000 * (name == "arrays")) + noise(4_900_000))
         yield name, file.getvalue()
 
 

@@ -177,6 +177,16 @@ def test_a_frame_that_moves_on_the_robot_is_named(tmp_path: Path) -> None:
     assert any("'pan' moves on the robot" in note for note in read_log(bag.close()).notes)
 
 
+def test_messages_without_stamps_are_counted(tmp_path: Path) -> None:
+    bag = bag_of(tmp_path / "a.bag")
+    for message in bag.of("/scan"):
+        object.__setattr__(message.header.stamp, "sec", 0)
+        object.__setattr__(message.header.stamp, "nanosec", 0)
+    log = read_log(bag.close())
+    np.testing.assert_allclose(log.t, drive()[0])
+    assert log.counts["messages without a stamp, as received"] == 12
+
+
 def test_fields_that_a_driver_leaves_out_or_states_wrongly(tmp_path: Path) -> None:
     bag, other = bag_of(tmp_path / "a.bag"), bag_of(tmp_path / "b.bag")
     for message, wrong in zip(bag.of("/scan"), other.of("/scan"), strict=True):

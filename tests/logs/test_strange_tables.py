@@ -1,5 +1,6 @@
 """Tables as other programs write them: missing values, dates, quaternions, comments, a row per beam, wrong names."""
 
+import time
 from datetime import UTC, datetime
 from pathlib import Path
 
@@ -127,6 +128,55 @@ def test_names_of_readings_in_radians(tmp_path: Path) -> None:
     assert any("bearings in rad" in note for note in log.notes)
 
 
+@pytest.mark.parametrize(
+    "head",
+    [
+        "time[s],x[m],y[m],yaw[rad]",
+        "Time(s),X (m),Y (m),Theta(rad)",
+        "ros_time,px,py,phi",
+        "datetime,pose.x,pose.y,orientation",
+    ],
+)
+def test_names_with_units_in_brackets_and_other_names(tmp_path: Path, head: str) -> None:
+    check(read(tmp_path, PLAIN.replace("t,x,y,heading", head)))
+
+
+@pytest.mark.parametrize("name", ["intensity_{}", "ranges.remission[{}]", "Quality {}"])
+def test_intensities_beside_readings_are_not_taken_for_them(tmp_path: Path, name: str) -> None:
+    """They are as many, and may come first."""
+    head, *rows = PLAIN.splitlines()
+    names = ",".join(name.format(k) for k in range(len(BEARINGS)))
+    intensities = ",".join(["47"] * len(BEARINGS))
+    check(read(tmp_path, "\n".join([f"{names},{head}", *(f"{intensities},{row}" for row in rows)])))
+
+
+@pytest.mark.parametrize("line", ["1" * 200_000 + "a", "1 " * 100_000 + "a", "a" * 200_000, "-" * 200_000 + "1_"])
+def test_long_names_cost_little_time(tmp_path: Path, line: str) -> None:
+    start = time.process_time()
+    with pytest.raises(LogError):
+        read(tmp_path, "t,x,y,heading," + ",".join(f"{line}{k}" for k in range(9)) + f"\n{line}")
+    assert time.process_time() - start < 10.0
+
+
+def test_a_date_that_is_not_understood_comes_with_what_is(tmp_path: Path) -> None:
+    cells = [["01.03.2024 12:00:00", *map(str, pose)] for pose in POSES]
+    with pytest.raises(LogError, match=r"row 2 is the first that is damaged: 01\.03\.2024 .*dates as 2024-03-01"):
+        read(tmp_path, table("t,x,y,heading", cells))
+
+
+@pytest.mark.parametrize("name", ["{:g}deg", "beam_{:g}_deg", "{:g}°", "angle {:g} [deg]"])
+def test_names_of_readings_with_the_unit_of_their_bearing(tmp_path: Path, name: str) -> None:
+    check(read(tmp_path, PLAIN.replace(NAMES, ",".join(map(name.format, DEGREES)))))
+
+
+def test_names_of_readings_with_their_own_unit(tmp_path: Path) -> None:
+    head, *rows = PLAIN.splitlines()
+    names = ",".join(f"r{k}_mm" for k in range(len(BEARINGS)))
+    pose_first = [row.split(",", 4) for row in rows]
+    in_mm = [",".join([*pose, *(f"{1e3 * float(r):.3f}" for r in ranges.split(","))]) for *pose, ranges in pose_first]
+    check(read(tmp_path, "\n".join([head.replace(NAMES, names), *in_mm]), field_of_view_deg=180.0))
+
+
 def by_beam(head: str, line: str, bearings: np.ndarray = DEGREES, mm: float = 1.0) -> str:
     """A row per beam, by a format of t, x, y, h (heading), a (bearing) and r (range)."""
     rows = [
@@ -156,6 +206,16 @@ def test_a_row_per_beam(tmp_path: Path, text: str, has_stamps: bool, has_poses: 
     assert (log.T_odom_robot is not None) == has_poses
     if has_poses:
         check_path(log)
+
+
+@pytest.mark.parametrize("bearings", [DEGREES, DEGREES % 360.0])
+def test_rows_per_beam_of_half_a_turn_of_which_some_are_missing(tmp_path: Path, bearings: np.ndarray) -> None:
+    """Bearings from 0 to 360 jump in the middle of a sweep, and beams without a return often have no row."""
+    head, *rows = by_beam("angle,distance", "{a:f},{r:f}", bearings).splitlines()
+    kept = np.random.default_rng(1).random(len(rows)) > 0.1
+    log = read(tmp_path, "\n".join([head, *(row for row, there in zip(rows, kept, strict=True) if there)]))
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-4)
+    np.testing.assert_allclose(log.ranges, np.where(kept.reshape(RANGES.shape), RANGES, np.nan), atol=1e-5)
 
 
 @pytest.mark.parametrize(
