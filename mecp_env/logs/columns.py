@@ -32,7 +32,7 @@ EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in de
 NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
 LONGEST_NAME = 80  # more of a name says nothing, and takes long to search
 NUMBERED = re.compile(r"\d+(?:[ _]*(?:mm|cm|m))?\W*$")  # the end of a name of readings, perhaps with its unit
-IN_DEGREES = re.compile(r"\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*")  # a bearing that names its unit
+IN_DEGREES = re.compile(r"\A\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*\Z")  # a bearing that names its unit
 TURN_DEG, TURN_RAD = 360.0, 6.3
 LEAST_SHARE = 0.5  # of the readings are in a row that is shorter than the names, at least
 
@@ -152,7 +152,7 @@ def columns_of(names: list[str], sample: list[str], view_deg: float | None, note
     names, words = [name[:LONGEST_NAME] for name in one_each(names, sample)], flat(sample)
     place = Place.of(names)
     _check_names(names, place)
-    names = [IN_DEGREES.sub(r"\1", name) if IN_DEGREES.fullmatch(name) else name for name in names]
+    names = [IN_DEGREES.sub(r"\1", name) for name in names]
     readings, said = _readings(names, place.used), _said(names, words)
     used = {*place.used, *readings, *(at for at, name in enumerate(names) if parsed(name).word in said)}
     left = [name for at, name in enumerate(names) if at not in used and name]

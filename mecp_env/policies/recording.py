@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -24,17 +24,28 @@ INSTALL = "install the extra `datasets`: pip install 'mecp_env[datasets]'"
 INFOS = ("coverage", "correct_coverage", "pose_error_m", "metres", "period")  # of `info`, kept with each observation
 
 
+@dataclass(slots=True)
+class EpisodeRows:
+    """An episode of T actions: observations and infos have T + 1 rows, all others T."""
+
+    seed: int | None
+    observations: list[Any]
+    infos: list[dict[str, Any]]
+    actions: list[Any] = field(default_factory=list)
+    rewards: list[float] = field(default_factory=list)
+    terminations: list[bool] = field(default_factory=list)
+    truncations: list[bool] = field(default_factory=list)
+
+
 class Recorder(gym.Wrapper[Any, Any, Any, Any]):
     """Keeps the rows of the current episode; with goal actions also the mask of each observation."""
 
-    rows: Any  # the `EpisodeBuffer` of minari of T actions: observations and infos have T + 1 rows, all others T
+    rows: EpisodeRows
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start the rows of a new episode."""
-        from minari.data_collector import EpisodeBuffer
-
         observation, info = super().reset(seed=seed, options=options)
-        self.rows = EpisodeBuffer(seed=seed, observations=[observation], actions=[], infos=[self._kept(info)])
+        self.rows = EpisodeRows(seed, [observation], [self._kept(info)])
         return observation, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
@@ -62,7 +73,7 @@ class Recording:
     observation: str = "flat"
     actions: str = ""  # "velocity": every control step of a policy that selects goals; "": the policy's own
 
-    def episodes(self, first: int, count: int) -> Iterator[Any]:
+    def episodes(self, first: int, count: int) -> Iterator[EpisodeRows]:
         """The rows of episodes in the buildings first, first + 1, ..., which are also their seeds."""
         env, recorder = self.make()
         see = self._view_of_policy(recorder)
@@ -118,10 +129,9 @@ class DatasetWriter:
         if self.path.exists():
             raise ConfigError(f"name: {name}: {self.path} exists; choose another name or version, or delete it")
 
-    def add(self, rows: Any) -> None:
+    def add(self, rows: EpisodeRows) -> None:
         """Append an episode."""
-        parts = {name: stacked(getattr(rows, name)) for name in ("observations", "actions", "infos")}
-        episode = replace(rows, **parts)
+        episode = buffer_of(rows)
         if self.dataset is None:
             self.dataset = self._create(episode)
         else:
@@ -145,6 +155,14 @@ class DatasetWriter:
             )
         env.close()
         return dataset
+
+
+def buffer_of(rows: EpisodeRows) -> Any:
+    """The `EpisodeBuffer` of minari with an array per part."""
+    from minari.data_collector import EpisodeBuffer
+
+    parts = {name: stacked(getattr(rows, name)) for name in ("observations", "actions", "infos")}
+    return EpisodeBuffer(**{part.name: getattr(rows, part.name) for part in fields(rows)} | parts)
 
 
 def stacked(rows: list[Any]) -> Any:

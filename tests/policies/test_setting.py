@@ -173,7 +173,7 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
         ("--estimator slm", "--estimator slm; did you mean 'slam'?"),
         ("--episodes 5000", "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
         ("--reference gian", "one of nearest, bfs, .*random_walk, standing; did you mean 'gain'"),
-        ("--max-steps 0", r"--max_steps: .*greater than or equal to 1 \(given: 0\)"),
+        ("--max-steps 0", r"--max-steps: .*greater than or equal to 1 \(given: 0\)"),
         ("--json .", "is a folder, not a file"),
         ("--json HERE/a.json", "test_setting.py is a file, not a folder"),
         ("--out HERE/out", "--out: .*/test_setting.py is a file, not a folder"),

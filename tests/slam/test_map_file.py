@@ -253,9 +253,9 @@ def test_numbers_that_are_no_fields_any_more_are_left_out_of_an_older_map(saved:
 
 def test_a_foreign_an_old_and_a_later_file_are_refused(saved: Path, tmp_path: Path) -> None:
     file, state = tmp_path / "other.zip", SlamMap.load(saved).state
-    for kind in (FileKind("mecp_env state", 1, "0.1.0"), FILE._replace(version=0), FILE._replace(version=9)):
+    for kind in (FileKind("mecp_env state", 1, "0.1.0"), FILE._replace(version=0), FILE._replace(version=99)):
         save_snapshot(file, kind, state)
-        with pytest.raises(MapError, match=r"other\.zip: (format: 'mecp_env state'|version: [09] \(of mecp_env 0)"):
+        with pytest.raises(MapError, match=r"other\.zip: (format: 'mecp_env state'|version: (0|99) \(of mecp_env 0)"):
             SlamMap.load(file)
     with pytest.raises(MapError, match=r"nowhere\.zip: no such file"):
         SlamPipeline.from_map(tmp_path / "nowhere.zip")

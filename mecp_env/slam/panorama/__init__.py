@@ -202,12 +202,13 @@ class RecentScans:
     def remember(self, scan: ScanFeatures, match: Match, graph: RoomGraph, landmark_filter: Filter, sure: bool) -> None:
         """Take a scan into the window, if the robot has moved since the newest one; the oldest leaves it.
 
-        `sure`: nothing speaks against the pose that it was taken at.
+        One for which no window is used empties it. `sure`: nothing speaks against the pose that it was taken at.
         """
-        if not self.are_used(scan):
+        if self.are_used(scan):
+            if self._moved(landmark_filter):
+                self._append(scan, match, graph, landmark_filter, sure)
+        elif self.scans:
             self.forget(landmark_filter)
-        elif self._moved(landmark_filter):
-            self._append(scan, match, graph, landmark_filter, sure)
 
     def _append(self, scan: ScanFeatures, match: Match, graph: RoomGraph, landmark_filter: Filter, sure: bool) -> None:
         marks = np.array([self.next_mark, self.next_mark - 1])
