@@ -16,9 +16,9 @@ def test_a_small_building_gives_ratios_and_the_drift(monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(scale, "BLOCK", 10)
     monkeypatch.setattr(scale, "STEPS", 60)
     figures = scale.run(Options(quick=True, folder=tmp_path))
-    assert set(figures) == {"riekf", "riekf_submaps", "window"}
-    assert 0.0 < figures["window"]["drift"]["median_m"]["value"] < 0.1
-    assert figures["window"]["drift"]["lost"]["value"] == 0.0
+    assert set(figures) == {"riekf", "riekf_submaps", "blind"}
+    assert 0.0 < figures["blind"]["drift"]["median_m"]["value"] < 0.1
+    assert figures["blind"]["drift"]["lost"]["value"] == 0.0
     assert figures["riekf"]["10"]["ratio"]["value"] == 1.0
     assert figures["riekf_submaps"]["20"]["ratio"]["value"] > 0.0
     assert "riekf_submaps, ratio" in scale.report(figures)
