@@ -51,6 +51,13 @@ def test_stable_baselines3_check_env(actions, observation):
     assert [m for m in messages if observation != "dict" or not m.startswith(SB3_ALLOWED)] == []
 
 
+def test_a_scan_of_united_sweeps_stays_in_its_space():
+    env = make(observation={"scan": True}, slam={"clustering": {"sweeps": "union"}}, laser={"sweeps": 2, "beams": 360})
+    observation, _ = env.reset(seed=0)
+    assert observation["scan"].shape == (720,)
+    assert env.observation_space.contains(observation)
+
+
 @pytest.mark.parametrize("actions", ACTIONS)
 @pytest.mark.parametrize("parts", [{}, {"map": True, "scan": True}, "flat", "image"], ids=str)
 def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts):
