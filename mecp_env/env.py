@@ -358,9 +358,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
             return Flat(actions, seen.uncertainty, RowTimes.of(self._planning))
         if seen.format == "image":
             return Image()
-        union = self._slam.clustering.sweeps == "union"  # which merges no beams
-        beams = laser.beams * (laser.sweeps if union else 1) if seen.scan else 0
-        return Observer(seen.map, beams, laser.max_range_m, seen.uncertainty)
+        beams = laser.beams * self._slam.clustering.united(laser.sweeps)
+        return Observer(seen.map, beams if seen.scan else 0, laser.max_range_m, seen.uncertainty)
 
     def observed_by(self, observer: Observer | Flat | Image) -> Observation:
         """The current observation as another observer computes it, in fresh arrays."""

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import association, kidnap, noise, record
+from benchmarks import association, kidnap, noise, record, records
 from benchmarks.common import Options
 from benchmarks.drives import Drive, replay
 from benchmarks.records import HEADER, Course, RecordError, Records, load_record, read_drive, save_record
@@ -98,7 +99,7 @@ def remade(changes: dict[str, Any], **arrays: Any) -> Callable[[bytes], bytes]:
 @pytest.mark.parametrize(
     ("damage", "named"),
     [
-        (lambda data: data[:-500], "damaged"),
+        (lambda data: data[:-500], "no mecp_env record, or cut short"),
         (lambda data: data[:4000] + b"\0" * 400 + data[4400:], "damaged"),
         (lambda data: packed({"t": np.zeros(3)}), "damaged"),
         (lambda data: b"PK\5\6" + bytes(18), "damaged"),
@@ -146,6 +147,17 @@ def test_a_record_is_made_once_and_contents_that_do_not_fit_are_named(
     monkeypatch.undo()
     with pytest.raises(RecordError, match=r"two_rooms.*/records/.*: cannot be written"):
         Records(path / "records").drive(SHORT)
+
+
+def test_a_file_that_is_too_large_is_not_read(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(records, "MOST_BYTES", 1000)
+    with pytest.raises(RecordError, match="bytes, at most 1000"):
+        read_drive(path)
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("more.npy", bytes(10**7))
+    monkeypatch.setattr(records, "MOST_BYTES", 10**7)
+    with pytest.raises(RecordError, match="bytes unpacked, at most"):
+        read_drive(path)
 
 
 def test_the_command_record_makes_each_drive_once_in_shards_or_whole(

@@ -10,9 +10,10 @@ from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
-from tests.slam.mecp.plain import convex_rings, cross, twice_area
+from tests.slam.mecp.plain import convex_rings, twice_area
 from tests.slam.mecp.polygon_rooms import beams_of, corners_of
 from tests.slam.mecp.test_polygon_scan import RECTANGLE, walls_of
+from tests.slam.mecp.test_polygons import is_empty_around
 
 ROBOT = np.zeros(2)
 PAPER = PolygonConfig(tolerance_sigmas=0.0, check_walls=False, sites="corners")
@@ -35,16 +36,6 @@ def sees_all(points, p):
 
 def angle_about(points, p):
     return lambda i: np.arctan2(*(points[i] - points[p])[::-1])
-
-
-def is_empty_around(points, ring, robot):
-    """Whether the robot, and no point, lies in the open ring."""
-    sides = [(points[a], points[b]) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)]
-
-    def inside(p):
-        return all(cross(b - a, p - a) > 0 for a, b in sides)
-
-    return inside(robot) and not any(map(inside, points))
 
 
 @pytest.mark.parametrize("by_kernel", [True, False])
