@@ -312,14 +312,15 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
         """Record how a drive to a goal ended, and search for goals again.
 
-        While the pose is searched for, nothing else is remembered: no other goal stays given up for a wrong pose.
+        While the pose is searched for, all goals are offered again when none is left.
         """
         episode = self._started()
-        recorded = episode.goal_history.record(goals, row, ended, self._planning.goals)
-        if not episode.slam_output.localised:
-            episode.goal_history.drives = [recorded]
         episode.target = None
+        episode.goal_history.record(goals, row, ended, self._planning.goals)
         self.refresh_goals()
+        if episode.goal_history.searching and not len(episode.goals):
+            episode.goal_history.drives = []
+            self.refresh_goals()
 
     def observation(self) -> Observation:
         """The current observation, in fresh arrays."""

@@ -123,9 +123,15 @@ class GoalHistory:
     first_room: int = UNKNOWN_ROOM
     retries: int = 0  # number of retries of refused goals
     good_place: Array | None = None  # (2,) m: the last one where the pose was well known
+    searching: bool = False  # for the pose: only drives since then are remembered
 
     def notice(self, output: SlamOutput) -> None:
-        """Record where a room was entered."""
+        """Record where a room was entered, and whether the pose is searched for.
+
+        When it is lost, and when it is found, all drives are forgotten: no goal stays given up for a wrong pose.
+        """
+        if self.searching == output.localised:
+            self.searching, self.drives = not output.localised, []
         room = output.graph.resolve(output.graph.current)
         if room not in self.entry:
             self.entry[room] = output.belief.T_map_robot[:2].copy()

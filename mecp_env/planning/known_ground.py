@@ -17,11 +17,11 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.grid_paths import DCOL, DROW, Distances, clear_line
 from mecp_env.core.jit import compiled
-from mecp_env.core.se2 import compose, wrap_angle
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.planning.config import KnownGroundConfig, PlanningConfig, PredictionConfig
 from mecp_env.planning.goal_list import Goal, GoalKind, Goals, PlaceKind
 from mecp_env.planning.goals import GoalHistory, reach_of
-from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
+from mecp_env.planning.navigator import NEAR_M, CostToGoField, cost_to_go_field, open_floor
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief
 from mecp_env.slam.output import SlamOutput
 
@@ -29,9 +29,6 @@ SHORT_M = 0.5  # a landmark is in sight if the way to this far before it is free
 WEIGHTS = 0.5  # sum of the weights of the landmarks in view
 SPOT_POINTS = 5  # of the path travelled, from one spot that may be a place to the next
 MOST_LOOPS = 3  # places that close a loop
-NEAR_M = 1.0  # what is nearer to the robot is no place to drive to
-LOOK_M, LOOK_DEG, KEEP_OFF_M = 3.0, 15.0, 0.6  # a look elsewhere: how far, how wide the way, how far from walls it ends
-AHEAD = 0.3  # by which the way ahead is preferred to the way back
 SIGHT_M = 4.0  # of the landmarks that make a spot a good one, at most
 
 
@@ -253,21 +250,12 @@ def known_places(around: Surroundings, costs: CostToGoField, ground: KnownGround
 
 
 def look_goals(output: SlamOutput) -> list[Goal]:
-    """The farthest open floor that the scan shows, at most 3 m away; nothing where all is near.
-
-    It is relative to the robot, so that it is right also in a map frame that is not.
-    """
-    beams, half = output.beams, max(1, round(math.radians(LOOK_DEG) / (2.0 * math.pi) * len(output.beams.ranges)))
-    around = np.take(beams.ranges, np.arange(-half, len(beams.ranges) + half), mode="wrap")
-    open_m = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1).min(axis=1) - KEEP_OFF_M
-    best = int(np.argmax(np.minimum(open_m, LOOK_M) * (1.0 + AHEAD * np.cos(beams.bearings))))
-    far_m = min(float(open_m[best]), LOOK_M)
-    if far_m < NEAR_M:
+    """The open floor that the scan shows, if there is any."""
+    place = open_floor(output)
+    if place is None:
         return []
-    T_map_laser = compose(output.belief.T_map_robot, output.T_robot_laser)
-    bearing = T_map_laser[2] + beams.bearings[best]
-    x, y = T_map_laser[:2] + far_m * np.array([math.cos(bearing), math.sin(bearing)])
-    return [Goal(GoalKind.LOOK, float(x), float(y), 0.0, UNKNOWN_ROOM, path_m=far_m)]
+    far_m = float(np.hypot(*(place - output.belief.T_map_robot[:2])))
+    return [Goal(GoalKind.LOOK, float(place[0]), float(place[1]), 0.0, UNKNOWN_ROOM, path_m=far_m)]
 
 
 def landmark_information(spots: Array, belief: Belief) -> Array:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core import grid_paths
 from mecp_env.core.carriers import Array, Bytes
+from mecp_env.core.se2 import compose
 from mecp_env.planning.config import GoalsConfig, PathsConfig, PlanningConfig
 from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, off_path, seen_points
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, LOOK, OPEN, PLACE, Goals, Outcome
@@ -92,7 +93,11 @@ def _field_from(grid: SemanticGrid, row: int, column: int, config: PathsConfig, 
 
 
 STOP = (0.0, 0.0)
+NO_PATH = np.empty((0, 2))
 UNKNOWN = int(Cell.UNKNOWN)
+NEAR_M = 1.0  # what is nearer to the robot is no place to drive to
+LOOK_M, LOOK_DEG, KEEP_OFF_M = 3.0, 15.0, 0.6  # a look elsewhere: how far, how wide the way, how far from walls it ends
+AHEAD = 0.3  # by which the way ahead is preferred to the way back
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -132,7 +137,7 @@ class Navigator:
     def start(self, target: Target) -> None:
         """Start a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
-        self.path = np.empty((0, 2))
+        self.path = NO_PATH
         self.steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = self.dwelt = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
@@ -180,7 +185,7 @@ class Navigator:
         """A new path; without one the robot waits, and after some tries the goal is refused."""
         self.planned, self.planned_version = self.steps, output.grid.version
         before = len(self.path)
-        self.path = plan(target, output, self.config)
+        self.path = plan(target, output, self.config, stuck=self.recoveries > 0)
         self.tries = 0 if len(self.path) else self.tries + 1
         if not before or self.tries:
             self.best_left_m, self.best_step = math.inf, self.steps
@@ -207,7 +212,7 @@ class Navigator:
     def _recover(self, output: SlamOutput) -> tuple[float, float]:
         """Back off and plan again; too often: refuse the goal."""
         self.recoveries += 1
-        self.path = np.empty((0, 2))
+        self.path = NO_PATH
         if self.recoveries > self.config.navigator.recoveries:
             self.outcome = Outcome.REFUSED
             return STOP
@@ -280,19 +285,40 @@ def door_of(target: Target, output: SlamOutput) -> Door | None:
     return next((door for door in output.graph.doors if door.id == target.door), None)
 
 
-def plan(target: Target, output: SlamOutput, config: PlanningConfig) -> Array:
+def plan(target: Target, output: SlamOutput, config: PlanningConfig, stuck: bool = False) -> Array:
     """A path (n,2) m, map frame, to a target, a tight one where there is no other; empty when there is no path.
 
-    To look elsewhere the robot drives straight on, as its map may be wrong here.
+    While the pose is searched for, the map may be wrong here: to look elsewhere the robot drives straight on, and where
+    there is no path to another target, or it is `stuck` on its way there, it does so instead.
     """
+    here = output.belief.T_map_robot[:2]
     if target.kind == LOOK:
-        return np.array([output.belief.T_map_robot[:2], target.p_map])
-    for tight in (False, True):
+        return np.array([here, target.p_map])
+    for tight in (False, True) if output.localised or not stuck else ():
         costs = cost_to_go_field(output.grid, output.belief.T_map_robot, config.paths, tight)
         path = plan_over(costs, target, output, config)
         if len(path):
-            break
-    return path
+            return path
+    ahead = None if output.localised else open_floor(output)
+    return NO_PATH if ahead is None else np.array([here, ahead])
+
+
+def open_floor(output: SlamOutput) -> Array | None:
+    """(2,) m, map frame: the farthest open floor that the scan shows, at most 3 m away; None where all is near.
+
+    It is relative to the robot, so that it is right also in a map frame that is not.
+    """
+    beams, half = output.beams, max(1, round(math.radians(LOOK_DEG) / (2.0 * math.pi) * len(output.beams.ranges)))
+    around = np.take(beams.ranges, np.arange(-half, len(beams.ranges) + half), mode="wrap")
+    open_m = np.lib.stride_tricks.sliding_window_view(around, 2 * half + 1).min(axis=1) - KEEP_OFF_M
+    best = int(np.argmax(np.minimum(open_m, LOOK_M) * (1.0 + AHEAD * np.cos(beams.bearings))))
+    far_m = min(float(open_m[best]), LOOK_M)
+    if far_m < NEAR_M:
+        return None
+    T_map_laser = compose(output.belief.T_map_robot, output.T_robot_laser)
+    bearing = T_map_laser[2] + beams.bearings[best]
+    place: Array = T_map_laser[:2] + far_m * np.array([math.cos(bearing), math.sin(bearing)])
+    return place
 
 
 def plan_over(costs: CostToGoField, target: Target, output: SlamOutput, config: PlanningConfig) -> Array:
@@ -301,7 +327,7 @@ def plan_over(costs: CostToGoField, target: Target, output: SlamOutput, config: 
     if target.kind == DOOR and door is not None:
         return plan_through(door, output, costs, config)
     cell = costs.nearest(target.p_map, config.goals.reach_m)
-    return np.empty((0, 2)) if cell is None else costs.path(cell)
+    return NO_PATH if cell is None else costs.path(cell)
 
 
 def plan_through(door: Door, output: SlamOutput, costs: CostToGoField, config: PlanningConfig) -> Array:
@@ -318,4 +344,4 @@ def plan_through(door: Door, output: SlamOutput, costs: CostToGoField, config: P
     if -config.navigator.approach_m - 0.1 < along < config.goals.door_beyond_m and aside < 0.2:
         return np.array([robot, middle, beyond] if along < 0.0 else [robot, beyond])
     cell = costs.nearest(middle - config.navigator.approach_m * onward, config.goals.reach_m)
-    return np.empty((0, 2)) if cell is None else np.concatenate([costs.path(cell), [middle, beyond]])
+    return NO_PATH if cell is None else np.concatenate([costs.path(cell), [middle, beyond]])

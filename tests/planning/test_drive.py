@@ -14,7 +14,15 @@ from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
 from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, near_points, safe_command, seen_points
 from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
-from mecp_env.planning.navigator import Navigator, Outcome, Target, cost_to_go_field, plan_through
+from mecp_env.planning.navigator import (
+    Navigator,
+    Outcome,
+    Target,
+    cost_to_go_field,
+    open_floor,
+    plan,
+    plan_through,
+)
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
 CONTROL, BODY = ControlConfig(), PathsConfig()
@@ -100,6 +108,23 @@ def test_no_way_is_refused_after_some_tries() -> None:
     assert navigator.outcome == Outcome.REFUSED
     assert navigator.steps <= 5
     assert Navigator(PlanningConfig()).step(toy.output()) == (0.0, 0.0)  # without a drive
+
+
+def test_a_lost_robot_without_a_path_drives_to_open_floor() -> None:
+    """In the halls, lost explorers stood still: the paths on a wrong map led into walls, or there were none."""
+    toy = Toy(np.array([2.0, 2.0, 0.0]), confirmed=False)
+    output, out_of_reach, in_room = toy.output(), target(toy, 20.0, 2.0), target(toy, 4.5, 3.2)
+    lost, config = replace(output, localised=False), PlanningConfig()
+    here, ahead = output.belief.T_map_robot[:2], open_floor(output)
+    assert ahead is not None
+    assert 1.0 <= np.hypot(*(ahead - here)) <= 3.0
+    assert not len(plan(out_of_reach, output, config))
+    np.testing.assert_array_equal(plan(out_of_reach, lost, config), [here, ahead])
+    np.testing.assert_array_equal(plan(in_room, lost, config), plan(in_room, output, config))
+    np.testing.assert_array_equal(plan(in_room, lost, config, stuck=True), [here, ahead])  # its map may be wrong here
+    np.testing.assert_array_equal(plan(in_room, output, config, stuck=True), plan(in_room, output, config))
+    boxed = replace(lost, beams=replace(lost.beams, ranges=np.full_like(lost.beams.ranges, 1.0)))
+    assert not len(plan(out_of_reach, boxed, config))
 
 
 def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:

@@ -156,6 +156,19 @@ def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy)
     assert history.find(goals.kind[0], 1, place, 0.5) is found
 
 
+def test_no_goal_stays_given_up_for_a_wrong_pose(toy: Toy) -> None:
+    history, found = GoalHistory(), toy.output()
+    lost = replace(found, localised=False)
+    goals = find_goals(found, history, CONFIG)
+    for output in (found, lost, found):  # the pose is right, lost, and found again
+        assert not history.drives
+        for seen in (output, output):
+            history.notice(seen)
+            history.record(goals, 0, Outcome.REACHED, CONFIG.goals)
+        assert len(find_goals(output, history, CONFIG)) < len(goals)
+        history.notice(lost if output is found else found)
+
+
 def test_an_unexplored_door_has_a_goal_beyond_it(toy: Toy) -> None:
     goals = from_source(door_goals, toy.output())
     assert in_world(toy, goals.p_map) == pytest.approx(np.array([[6.96, 1.95]]))
