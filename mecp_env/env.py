@@ -220,7 +220,8 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
     def get_state(self) -> dict[str, Any]:
         """The running episode as plain versioned data (numbers, strings, arrays, lists, dicts; no pickle).
 
-        It shares no memory with the environment. Raises `ResetNeeded` before the first `reset`.
+        It shares no memory with the environment. Raises `ResetNeeded` before the first `reset`, and `StateError` for a
+        custom part with an attribute that is no data.
         """
         if self._episode is None:
             raise ResetNeeded("get_state() before reset()")

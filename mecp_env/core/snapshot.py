@@ -41,7 +41,10 @@ class Encoder:
         self._alive: list[Any] = []  # keeps the ids valid
 
     def encode(self, value: Any) -> Any:
-        """Plain data that stands for `value`. Raises `TypeError` for what a state must not hold (a function, ...)."""
+        """Plain data that stands for `value`.
+
+        Raises `TypeError` for what a state must not hold (a function, ...), `StateError` for an object that has it.
+        """
         if type(value) in PLAIN:
             return value
         if isinstance(value, Enum):
@@ -65,7 +68,14 @@ class Encoder:
             return {f"@{type(value).__name__}": self._items(value)}
         if type(value) is dict:
             return {"@dict": [self._items(pair) for pair in value.items()]}
-        return {"@object": [name_of(type(value)), {name: self.encode(item) for name, item in fields_of(value).items()}]}
+        fields = {name: self._field(value, name, item) for name, item in fields_of(value).items()}
+        return {"@object": [name_of(type(value)), fields]}
+
+    def _field(self, owner: Any, name: str, item: Any) -> Any:
+        try:
+            return self.encode(item)
+        except TypeError as error:
+            raise StateError(f"{type(owner).__name__}.{name}: {error}") from None
 
     def _items(self, values: Any) -> list[Any]:
         """The items in their order; those of a set sorted."""

@@ -21,7 +21,8 @@ from mecp_env.slam.protocols import FilterError
 
 FLOATS, IDS = np.dtype(np.float64), np.dtype(np.int64)
 REASONS = np.array(list(map(int, Reason)))
-COPIED = ("divergence", "guard", "recent")  # what changes in place before anything is mapped
+COPIED = ("divergence", "guard", "recent")  # what changes in place before the grid is painted
+DEEPLY = ("map", "rooms")  # the same, inside
 
 
 def is_ours(part: object) -> bool:
@@ -40,7 +41,7 @@ def check_part(part: object, what: str, base: type) -> None:
 
 
 class BegunStep:
-    """A context in which a step begins: nothing is mapped there."""
+    """A context for all of a step that asks associator and filter: all but the painting of the grid."""
 
     def __enter__(self) -> Self:
         return self
@@ -56,6 +57,8 @@ class UndoneOnError(BegunStep):
         self.parts, self.kept = parts, {"step_count": parts.step_count, "filter": parts.filter}
         self.kept |= {name: copy.copy(getattr(parts, name)) for name in COPIED}
         self.kept["recent"].scans = list(parts.recent.scans)
+        fixed = {id(thing): thing for thing in (parts.config, *parts.map.polygons.polygons)}  # which nothing changes
+        self.kept |= {name: copy.deepcopy(getattr(parts, name), fixed.copy()) for name in DEEPLY}
         parts.filter = parts.filter.copy()
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:

@@ -200,7 +200,7 @@ class SlamMap:
         """The map of a pipeline. Ground truth and injected parts stay out. Raises `MapError`."""
         try:
             made = cls(encode(_own_parts(pipeline)))
-        except TypeError as error:
+        except (TypeError, StateError) as error:
             raise MapError(f"map: {error}") from None
         made.restore(type(pipeline))  # no map is written that cannot be read
         return made

@@ -119,14 +119,14 @@ class SlamParts:
         return False
 
     def begin_step(self) -> BegunStep:
-        """Count a step; a context for as long as nothing is mapped: an error of custom parts in it changes nothing."""
+        """Count a step; a context in which an error of custom parts changes nothing, to be left before painting."""
         begun = BegunStep() if is_ours(self.associator) and is_ours(self.filter) else UndoneOnError(self)
         self.step_count += 1
         return begun
 
-    def believed(self, after: str) -> Belief:
+    def believed(self, after: str, belief: Belief | None = None) -> Belief:
         """What the filter believes. Raises `FilterError` for a custom one whose belief is unsound `after` something."""
-        belief = self.filter.belief()
+        belief = self.filter.belief() if belief is None else belief
         return belief if is_ours(self.filter) else self._sound(belief, self.filter, after)
 
     def correct(self, z: Array, R: Array, ids: Ints, iterate: bool) -> None:

@@ -169,6 +169,8 @@ class Foreign:
 def test_what_no_state_may_hold_is_refused(value):
     with pytest.raises(TypeError):
         encode(value)
+    with pytest.raises(StateError, match=r"TravelledPath\.points: a state holds no "):
+        encode(TravelledPath(points=value))
 
 
 MESSAGES = "mecp_env.slam.messages"

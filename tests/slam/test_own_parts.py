@@ -18,7 +18,7 @@ from benchmarks.drives import WatchedAssociator
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
-from mecp_env.slam import MatchError, config
+from mecp_env.slam import MatchError, config, landmark_map
 from mecp_env.slam.association import MecpAssociator, register_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.custom import is_ours
@@ -220,6 +220,47 @@ def test_an_unsound_custom_filter_is_refused_and_changes_nothing(
     with pytest.raises(FilterError, match=said):
         pipeline.step(drive.odometry[30], drive.scans[30])
     assert same(without_associator(pipeline), before)
+
+
+def fail(self: Any, _: Any) -> None:
+    raise KeyError("fails")
+
+
+@pytest.mark.parametrize(
+    ("method", "spoil", "error"),
+    [
+        ("augment", fail, KeyError),
+        ("augment", set_mean, FilterError),
+        ("remove", fail, KeyError),
+        ("remove", set_mean, FilterError),
+    ],
+)
+def test_a_filter_that_fails_while_the_map_grows_changes_nothing(
+    own: dict[str, ModuleType],
+    drive: Drive,
+    method: str,
+    spoil: Any,
+    error: type[Exception],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Seen: tracks were landmarks that the filter did not have, and the next step failed as well."""
+    monkeypatch.setattr(landmark_map, "find_unconfirmed", lambda _, ids, __, step: ids[: step == 25])
+    make = spoilt(own["plain_ekf"], method, spoil)
+    register_filter("spoilt", make)
+    pipeline, whole = (SlamPipeline({"filter": {"kind": "spoilt"}}) for _ in range(2))
+    failed = 0
+    for k, _ in enumerate(fed(whole, drive, 0, 30)):
+        make.on, before = True, without_associator(pipeline)
+        try:
+            list(fed(pipeline, drive, k, k + 1))
+        except error:
+            failed += 1
+            assert same(without_associator(pipeline), before)
+            make.on = False
+            list(fed(pipeline, drive, k, k + 1))
+        make.on = False
+    assert failed > 0
+    assert same(without_associator(pipeline), without_associator(whole))
 
 
 def test_a_custom_part_is_checked_whatever_of_ours_it_has_inside() -> None:
