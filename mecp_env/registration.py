@@ -9,8 +9,8 @@ from typing import Any
 import gymnasium
 
 from mecp_env.config import EnvConfig, merge, plain, plain_value, refuse_keywords
-from mecp_env.core import jit
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.warm_up import prepare
 from mecp_env.env import MecpEnv
 from mecp_env.episode.buildings import GENERATE, KEYWORDS, PLAN, generator_keywords, plan_keywords
 from mecp_env.episode.tasks import FIRST, TASKS
@@ -23,7 +23,7 @@ def make(
     config: EnvConfig | dict[str, Any] | None = None, render_mode: str | None = None, **keywords: Any
 ) -> gymnasium.Env[Any, Any]:
     """`Layout-v0`: the building of `layout`; the environment is in `GoalActions` where `actions="goal"`."""
-    jit.prepare()
+    prepare()
     env = MecpEnv(config, render_mode, **keywords)
     return GoalActions(env) if env.config.actions == "goal" else env
 

@@ -70,7 +70,7 @@ class Demo(WithModules):
             Run,
             print_figures,
         )  # loaded only here, so that help and errors come at once
-        from mecp_env.core import jit
+        from mecp_env.core.warm_up import prepare
         from mecp_env.env import MecpEnv
         from mecp_env.render.replay import Recorder
         from mecp_env.render.window import require_display
@@ -82,7 +82,7 @@ class Demo(WithModules):
         check_map(self.save_map, building, config.estimator)
         if self.render == "human":
             require_display()
-        jit.prepare()
+        prepare()
         recording = rerun_log(self.rerun, config.robot.period_s)
         env = MecpEnv(config, None if self.render == "none" else "human")
         run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None, recording)

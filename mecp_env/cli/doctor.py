@@ -141,7 +141,8 @@ def compiled_functions(_: float) -> Iterator[Finding]:
     """Whether functions are compiled, where they are kept, whether that can be written, and whether it is warm."""
     import numba
 
-    from mecp_env.core.jit import cache_directory, is_cold, sizes_in, usable
+    from mecp_env.core.jit import cache_directory, usable
+    from mecp_env.core.warm_up import is_cold, sizes_in
 
     if numba.config.DISABLE_JIT:
         said = "NUMBA_DISABLE_JIT is set: everything is slow"

@@ -103,7 +103,7 @@ class Slam(WithModules):
             LogFiles,
             print_figures,
         )  # loaded only here, so that help and errors come at once
-        from mecp_env.core import jit
+        from mecp_env.core.warm_up import prepare
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
@@ -118,7 +118,7 @@ class Slam(WithModules):
         echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
         print_calibration(calibration)
         planned = len(drive.planned())
-        jit.prepare()
+        prepare()
         files = LogFiles(log, planned, rerun_log(self.rerun))
         with files.bar() as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():

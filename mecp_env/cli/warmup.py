@@ -136,7 +136,7 @@ class WarmUp(Command):
         """Count the functions in the meantime; what no drive calls is compiled when it is called."""
         from rich.progress import Progress, SpinnerColumn, TextColumn
 
-        from mecp_env.core import jit
+        from mecp_env.core import jit, warm_up
         from mecp_env.core.processes import cores
 
         place, together = jit.cache_directory(), (self.jobs or cores()) > 1
@@ -145,11 +145,11 @@ class WarmUp(Command):
             return FAILED
         with Progress(SpinnerColumn(), TextColumn("{task.completed} functions")) as bar:
             task = bar.add_task("compiling", total=None)
-            rows = (jit.FIRST, jit.LATER) if together else zip(jit.FIRST + jit.LATER)
-            failed = [jit.compile_ahead(drives, lambda count: bar.update(task, completed=count)) for drives in rows]
+            rows = (warm_up.FIRST, warm_up.LATER) if together else zip(warm_up.FIRST + warm_up.LATER)
+            failed = [warm_up.compile_ahead(drives, lambda count: bar.update(task, completed=count)) for drives in rows]
         if any(failed):
             names = [name for row in failed for name in row]
-            print_error(f"drives that failed: {', '.join(names)}; python -m {jit.DRIVES} {names[0]} says why")
+            print_error(f"drives that failed: {', '.join(names)}; python -m {warm_up.DRIVES} {names[0]} says why")
             return FAILED
         echo(f"functions compiled, in {place}")
         return 0

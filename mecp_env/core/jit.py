@@ -4,8 +4,6 @@ numba notices an edit in the file of a function, but not in that of a function w
 sources has a folder of its own. numba raises for a file that is truncated, a disk that is full or a folder that is
 gone, and damaged machine code ends the process; so each function has a folder with a checksum there, and is compiled
 again where that does not fit. An entry is a pickle, which runs what it says: only this user may write there.
-
-What an episode calls is compiled ahead: on first use, and for more than episodes by `mecp-env warmup`.
 """
 
 from __future__ import annotations
@@ -14,15 +12,12 @@ import contextlib
 import functools
 import hashlib
 import logging
-import multiprocessing
 import os
 import shutil
 import stat
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -134,63 +129,3 @@ def _is_private(folder: Path) -> bool:
     about = folder.stat()
     others = stat.S_IWOTH | (0 if about.st_gid == os.getgid() == os.getuid() else stat.S_IWGRP)
     return about.st_uid in (0, os.getuid()) and bool(not about.st_mode & others or about.st_mode & stat.S_ISVTX)
-
-
-SWITCH = "MECP_ENV_WARM_UP"  # 0: the first use compiles each function when it is called
-DRIVES = "mecp_env.cli.warmup"  # a process each; not by `multiprocessing`, which imports the user's script again
-FIRST, LATER = ("episode",), ("log", "tasks")  # those of `LATER` at the same time
-DONE = "warm"  # file in the cache
-PERIOD_S = 0.5  # of reports
-
-
-def prepare() -> None:
-    """On first use: compile what an episode calls, say so in one line, and wait for it; never in a worker of a pool."""
-    if os.environ.get(SWITCH) != "0" and multiprocessing.parent_process() is None and is_cold():
-        log.warning("mecp_env: compiling functions; once, for a minute or two (%s=0 switches it off)", SWITCH)
-        if compile_ahead(FIRST, show):
-            log.warning("mecp_env: compiling ahead failed: functions are compiled when they are called")
-
-
-def is_cold() -> bool:
-    """True where nothing has been compiled ahead, although there is a place for it."""
-    place = cache_directory()
-    return not numba.config.DISABLE_JIT and usable(place) and not (place / DONE).exists()
-
-
-def sizes_in(place: Path) -> list[int]:
-    """The bytes of each compiled function in a cache, where other processes write and remove folders meanwhile."""
-    sizes = list[int]()
-    for folder, _, names in os.walk(place):
-        for name in names:
-            with contextlib.suppress(OSError):
-                sizes += [Path(folder, name).stat().st_size] * name.endswith(".nbc")
-    return sizes
-
-
-def show(count: int) -> None:
-    """How many functions are compiled, on stderr, where that is a terminal."""
-    if sys.stderr.isatty():
-        sys.stderr.write(f"\r{count} functions")
-        sys.stderr.flush()
-
-
-def compile_ahead(drives: Sequence[str], report: Callable[[int], None]) -> tuple[str, ...]:
-    """Run the drives at the same time, and report how many functions are compiled; whatever happens, none runs on.
-
-    Returns those that failed.
-    """
-    place, path = cache_directory(), [str(Path(__file__).parents[2]), os.environ.get("PYTHONPATH", "")]
-    env = os.environ | {SWITCH: "0", "PYTHONPATH": os.pathsep.join(path)}
-    silent: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.DEVNULL)
-    helpers = [subprocess.Popen([sys.executable, "-m", DRIVES, name], env=env, **silent) for name in drives]
-    try:
-        while any(helper.poll() is None for helper in helpers):
-            report(len(sizes_in(place)))
-            time.sleep(PERIOD_S)
-    finally:
-        for helper in helpers:
-            helper.terminate()
-            helper.wait()
-    with contextlib.suppress(OSError):
-        (place / DONE).touch()
-    return tuple(name for name, helper in zip(drives, helpers, strict=True) if helper.returncode)

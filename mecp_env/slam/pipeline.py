@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from mecp_env.core.carriers import Ints
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.association import ignored
 from mecp_env.slam.checks import check_odometry, check_scan
@@ -12,24 +11,12 @@ from mecp_env.slam.frontend import front_end
 from mecp_env.slam.grid.key_scans import seen_floor
 from mecp_env.slam.localisation import Evidence
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import (
-    Belief,
-    Corners,
-    Decision,
-    MapView,
-    Match,
-    MergedScan,
-    Reason,
-    ScanFeatures,
-    Segments,
-    Sighting,
-)
+from mecp_env.slam.messages import Belief, Corners, Decision, MapView, Match, Reason, ScanFeatures, Sighting
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.panorama.surroundings import Surroundings
 from mecp_env.slam.parts import SlamParts
 
 Attempt = tuple[Match, Match, Evidence]  # of the associator, what updated the filter, and what speaks for the pose
-Drawn = tuple[MergedScan, Segments, Ints]  # beams as far as they show floor, walls, and the landmarks recognised
 
 
 class SlamPipeline(SlamParts):
@@ -71,16 +58,17 @@ class SlamPipeline(SlamParts):
             around = around.with_polygons(find_structure(*around.place, self.config.polygon, around.wall))  # III-A.2
             view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
             associated, updated, evidence = self._localise(around, view, tracked)  # III-B
-            belief, drawn = self.divergence.watch(self.filter.belief()), None
+            belief, still = self.divergence.watch(self.filter.belief()), None
             if self.guard.trusts(evidence.followed(tracked, self.recent.vouched)):
                 seen = Sighting(corners, updated, through, belief, self.step_count)
-                match, belief, drawn = self._map_scan(around, seen, evidence.sharp)  # III-B.1
+                match, belief, still = self._map_scan(around, seen, evidence.sharp)  # III-B.1
             else:
                 self.filter = untouched
                 match, belief = self._relocalise(around, view)
         graph = self.rooms.graph()
-        if drawn is not None:
-            self.grid.paint(belief, *drawn, self.map.polygons.polygons, graph)
+        if still is not None:
+            floor, landmarks = seen_floor(still.beams, self.config.sensor), match.ids[match.recognised()]
+            self.grid.paint(belief, floor, still.segments, landmarks, self.map.polygons.polygons, graph)
         return SlamOutput(
             *(self.step_count, scanned.beams, scanned.segments, corners, around.polygons, associated, match),
             *(robot_belief(belief, self.config.sensor), graph, tuple(self.map.polygons.polygons)),
@@ -166,21 +154,18 @@ class SlamPipeline(SlamParts):
         self.recent.remember(around.scan, around.narrow(match), self.rooms.graph(), self.filter, self.guard.is_sure)
         return around.narrow(match), self.filter.belief()
 
-    def _map_scan(self, around: Surroundings, seen: Sighting, sharp: bool) -> tuple[Match, Belief, Drawn]:
-        """Landmarks, rooms and polygons after this scan; its match with all ids, the belief, and what to draw."""
+    def _map_scan(self, around: Surroundings, seen: Sighting, sharp: bool) -> tuple[Match, Belief, ScanFeatures]:
+        """Landmarks, rooms and polygons after this scan; its match with all ids, the belief, and what is still."""
         beams, segments = around.scan.beams, around.scan.segments
         dynamic = self.dynamic_objects.find(beams, seen.belief, self.grid.canvas.grid)
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
         seen = self._extend_map(seen.with_match(static), around, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)
         self.rooms.forget(pruned)
-        still = ScanFeatures(
-            *self.dynamic_objects.without(beams, segments, dynamic), around.scan.corners, around.scan.wall
-        )
+        painted = self.dynamic_objects.without(beams, segments, dynamic)
+        still = ScanFeatures(*painted, around.scan.corners, around.scan.wall)
         self.recent.remember(still, seen.match, self.rooms.graph(), self.filter, self.guard.is_sure)
-        matched = seen.match.ids[seen.match.recognised()]
-        drawn = seen_floor(still.beams, self.config.sensor), still.segments, matched
-        return seen.match, self.believed("augment, fuse or remove", belief), drawn
+        return seen.match, self.believed("augment, fuse or remove", belief), still
 
     def _extend_map(self, seen: Sighting, around: Surroundings, wide: bool) -> Sighting:
         """Tracks, landmarks, doors, rooms and polygons after this scan; the sighting with all its ids."""

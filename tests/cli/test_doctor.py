@@ -12,7 +12,7 @@ from packaging.requirements import Requirement
 from mecp_env.cli import doctor
 from mecp_env.cli import main as cli
 from mecp_env.cli.doctor import Finding
-from mecp_env.core import jit
+from mecp_env.core import jit, warm_up
 
 Said = pytest.CaptureFixture[str]
 
@@ -85,7 +85,7 @@ def test_the_cache_of_compiled_functions_is_judged(place: Path, monkeypatch: pyt
     assert (writable.verdict, cold.verdict) == ("PASS", "WARN")
     assert "compiles first" in cold.said
     assert cold.fix == "mecp-env warmup"
-    (place / jit.DONE).touch()
+    (place / warm_up.DONE).touch()
     (warm,) = doctor.compiled_functions(0.0)
     assert warm.verdict == "PASS"
     place.with_name("file").touch()

@@ -15,7 +15,7 @@ import pytest
 
 from mecp_env.cli import main as cli
 from mecp_env.cli import warmup
-from mecp_env.core import jit
+from mecp_env.core import jit, warm_up
 from tests.command_lines import ROOT
 
 SMALL = "--ppo.steps 16 --ppo.batch 16 --network.width 8 --steps 32 --log.evaluate-buildings 1 --env.max-steps 60"
@@ -99,7 +99,7 @@ def test_warm_up_takes_as_many_processes_as_it_may(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], jobs: str, rows: list[tuple[str, ...]]
 ) -> None:
     driven: list[tuple[str, ...]] = []
-    monkeypatch.setattr(jit, "compile_ahead", lambda drives, report: driven.append(drives) or ())
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: driven.append(drives) or ())
     assert cli.main(["warmup", "--jobs", jobs]) == 0
     assert driven == rows
     assert "functions compiled" in capsys.readouterr().out
@@ -108,8 +108,8 @@ def test_warm_up_takes_as_many_processes_as_it_may(
 def test_a_drive_that_fails_is_named(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    assert set(jit.FIRST + jit.LATER) == set(warmup.DRIVES)
-    monkeypatch.setattr(jit, "compile_ahead", lambda drives, report: ("log",) if "log" in drives else ())
+    assert set(warm_up.FIRST + warm_up.LATER) == set(warmup.DRIVES)
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: ("log",) if "log" in drives else ())
     assert cli.main(["warmup"]) == 1
     said = capsys.readouterr()
     assert "mecp_env.cli.warmup log" in said.out + said.err

@@ -12,16 +12,16 @@ from typing import Any
 
 import pytest
 
-from mecp_env.core import jit
+from mecp_env.core import jit, warm_up
 
-ROOT = Path(jit.__file__).parents[2]
+ROOT = Path(warm_up.__file__).parents[2]
 
 
 @pytest.fixture
 def cold(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     """The place of a cache that is empty."""
     monkeypatch.setattr(jit, "cache_directory", lambda: tmp_path / "cache")
-    monkeypatch.delenv(jit.SWITCH, raising=False)
+    monkeypatch.delenv(warm_up.SWITCH, raising=False)
     return tmp_path / "cache"
 
 
@@ -29,7 +29,7 @@ def cold(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
 def driven(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     """The drives that were started."""
     found: list[Any] = []
-    monkeypatch.setattr(jit, "compile_ahead", lambda drives, report: found.append(drives) or ())
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: found.append(drives) or ())
     return found
 
 
@@ -37,25 +37,25 @@ def test_the_first_use_compiles_and_says_so_in_one_line(
     cold: Path, driven: list[Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     with monkeypatch.context() as patch:
-        patch.setenv(jit.SWITCH, "0")
-        jit.prepare()
+        patch.setenv(warm_up.SWITCH, "0")
+        warm_up.prepare()
         assert driven == []  # switched off
-    jit.prepare()
-    assert driven == [jit.FIRST]
+    warm_up.prepare()
+    assert driven == [warm_up.FIRST]
     (record,) = caplog.records
     assert "compiling" in record.message
-    assert jit.SWITCH in record.message
+    assert warm_up.SWITCH in record.message
     cold.with_name("file").touch()
     monkeypatch.setattr(jit, "cache_directory", lambda: cold.with_name("file"))
-    jit.prepare()
+    warm_up.prepare()
     assert len(driven) == 1  # where nothing can be kept, nothing is compiled ahead
 
 
 def _is_prepared() -> bool:
     calls: list[Any] = []
-    jit.is_cold, jit.compile_ahead = lambda: True, lambda *_: calls.append(_)  # type: ignore[assignment]
-    os.environ.pop(jit.SWITCH, None)
-    jit.prepare()
+    warm_up.is_cold, warm_up.compile_ahead = lambda: True, lambda *_: calls.append(_)  # type: ignore[assignment]
+    os.environ.pop(warm_up.SWITCH, None)
+    warm_up.prepare()
     return bool(calls)
 
 
@@ -68,7 +68,7 @@ def test_functions_are_counted_while_another_process_removes_their_folders(tmp_p
     (tmp_path / "a").mkdir()
     (tmp_path / "a" / "f.nbc").write_bytes(bytes(7))
     (tmp_path / "a" / "f.nbi").write_bytes(bytes(9))
-    assert jit.sizes_in(tmp_path) == [7]
+    assert warm_up.sizes_in(tmp_path) == [7]
     ended = threading.Event()
 
     def write_and_remove() -> None:
@@ -80,7 +80,7 @@ def test_functions_are_counted_while_another_process_removes_their_folders(tmp_p
     other = threading.Thread(target=write_and_remove)
     other.start()
     try:
-        assert all(7 in jit.sizes_in(tmp_path) for _ in range(2000))
+        assert all(7 in warm_up.sizes_in(tmp_path) for _ in range(2000))
     finally:
         ended.set()
         other.join()
@@ -89,24 +89,24 @@ def test_functions_are_counted_while_another_process_removes_their_folders(tmp_p
 @pytest.mark.slow
 def test_what_was_compiled_ahead_is_warm_even_where_a_drive_fails(cold: Path) -> None:
     """It would fail again."""
-    assert jit.is_cold()
+    assert warm_up.is_cold()
     counts: list[int] = []
-    assert jit.compile_ahead(["no such drive"], counts.append) == ("no such drive",)
+    assert warm_up.compile_ahead(["no such drive"], counts.append) == ("no such drive",)
     assert counts[0] == 0
-    assert not jit.is_cold()
+    assert not warm_up.is_cold()
 
 
 INTERRUPTED = """
 import os, signal, sys
-from mecp_env.core import jit
+from mecp_env.core import jit, warm_up
 signal.signal(signal.SIGINT, signal.default_int_handler)
-Popen = jit.subprocess.Popen
+Popen = warm_up.subprocess.Popen
 class Noted(Popen):
     def __init__(self, line, **words):
         super().__init__([sys.executable, "-c", "import time; time.sleep(60)"], **words)
         print(self.pid, flush=True)
-jit.subprocess.Popen = Noted
-jit.compile_ahead(["a", "b"], lambda count: os.kill(os.getpid(), signal.SIGINT))
+warm_up.subprocess.Popen = Noted
+warm_up.compile_ahead(["a", "b"], lambda count: os.kill(os.getpid(), signal.SIGINT))
 """
 
 
@@ -120,4 +120,4 @@ def test_an_interrupt_ends_the_processes_and_leaves_it_cold(tmp_path: Path) -> N
     for pid in pids:
         with pytest.raises(ProcessLookupError):
             os.kill(pid, 0)
-    assert not list(tmp_path.rglob(jit.DONE))
+    assert not list(tmp_path.rglob(warm_up.DONE))
