@@ -30,8 +30,7 @@ from mecp_env.episode.potentials import (
     metric_terms,
     start_metrics,
 )
-from mecp_env.evaluation.metric_arrays import DOOR, FREE
-from mecp_env.slam.messages import SemanticGrid
+from mecp_env.evaluation.metric_arrays import OCCUPIED
 
 TERMS = REWARDS.ours
 OURS = tuple(name for name in TERMS if name in POTENTIALS)
@@ -106,19 +105,9 @@ def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
     if not sure or inputs.grid.version == memory.grid_version:
         return memory.area_m2
     memory.grid_version = inputs.grid.version
-    memory.metric.floor_m2 = floor_m2(inputs.grid)
-    return mapped_m2(inputs.grid)
-
-
-def mapped_m2(grid: SemanticGrid) -> float:
-    """m^2 of cells that are not UNKNOWN."""
-    return float(np.count_nonzero(grid.label) * grid.resolution_m**2)  # UNKNOWN is 0
-
-
-def floor_m2(grid: SemanticGrid) -> float:
-    """m^2 of cells that are FREE or DOOR."""
-    cells = np.count_nonzero(grid.label == FREE) + np.count_nonzero(grid.label == DOOR)
-    return float(cells * grid.resolution_m**2)
+    mapped, cell_m2 = np.count_nonzero(inputs.grid.label), inputs.grid.resolution_m**2  # UNKNOWN is 0
+    memory.metric.floor_m2 = float((mapped - np.count_nonzero(inputs.grid.label == OCCUPIED)) * cell_m2)
+    return float(mapped * cell_m2)
 
 
 def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> dict[str, float]:

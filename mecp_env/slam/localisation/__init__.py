@@ -344,7 +344,8 @@ class PoseGuard:
 
     def settle(self, match: Match) -> int:
         """`unsure_from` after a scan: what was mapped is sure once enough earlier landmarks are recognised."""
-        if np.count_nonzero(match.ids[match.recognised()] < self.unsure_from) >= self.config.least_corners:
+        sure = self.unsure_from == NO_ID
+        if not sure and np.count_nonzero(match.ids[match.recognised()] < self.unsure_from) >= self.config.least_corners:
             self.unsure_from = NO_ID
         return self.unsure_from
 
