@@ -53,10 +53,10 @@ LABELS = {
     "correct_coverage_over_steps": "correct coverage, mean over the step limit, %",
 }
 NAMES = {"ppo": "PPO", "maskable_ppo": "MaskablePPO"}
-RATES = {"ppo": 5e-4, "maskable_ppo": 3e-3}
+RATES = {"discrete": 5e-4, "goal": 3e-3}
 SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
-    "ppo": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
-    "maskable_ppo": {
+    "discrete": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
+    "goal": {
         "n_steps": 8,
         "batch_size": 64,
         "n_epochs": 12,
@@ -79,7 +79,8 @@ class Args:
 
     env: str = "mecp_env/First-v0"
     difficulty: str = ""  # of Rooms-v0
-    algorithm: Literal["ppo", "maskable_ppo"] = "ppo"  # maskable_ppo chooses goals
+    algorithm: Literal["ppo", "maskable_ppo"] = "ppo"
+    actions: Literal["", "discrete", "goal"] = ""  # "": goals with maskable_ppo, else five motions
     minutes: float = 5.0  # of training per seed, evaluations left out; with --steps as long as these take
     steps: int = 0  # control steps per seed; 0: as many as the minutes allow
     seeds: tuple[int, ...] = (0,)
@@ -88,25 +89,31 @@ class Args:
     buildings: int = 20  # of the validation split, in an evaluation
     max_steps: int = 0  # of an episode; 0: those of the environment
     pace: float = 0.0  # weight of this term of the reward (docs/rewards.md)
-    gamma: float = 0.0  # discount per decision; 0: that of the algorithm
-    epochs: int = 0  # passes over a batch; 0: those of the algorithm
+    shaping: float = 0.0  # the same
+    gamma: float = 0.0  # discount per decision; 0: that for the actions
+    epochs: int = 0  # passes over a batch; 0: those for the actions
     metric: str = "coverage"  # of the curve, or coverage_over_steps, correct_coverage_over_steps
     out: Path = Path("runs/first")
 
     @property
+    def kind(self) -> str:
+        """Of actions: "discrete" or "goal"."""
+        return self.actions or ("goal" if self.algorithm == "maskable_ppo" else "discrete")
+
+    @property
     def options(self) -> dict[str, Any]:
         """The keywords of `gymnasium.make`."""
-        actions = {"actions": "goal"} if self.algorithm == "maskable_ppo" else {}
         buildings = {"difficulty": self.difficulty} if self.difficulty else {}
         limit = {"max_steps": self.max_steps} if self.max_steps else {}
-        reward = {"reward": {"pace": self.pace}} if self.pace else {}
-        return {"observation": "flat", "start": "random", **actions, **buildings, **limit, **reward}
+        weights = {name: weight for name, weight in (("pace", self.pace), ("shaping", self.shaping)) if weight}
+        reward = {"reward": weights} if weights else {}
+        return {"observation": "flat", "start": "random", "actions": self.kind, **buildings, **limit, **reward}
 
     @property
     def settings(self) -> dict[str, Any]:
-        """Those of the algorithm that are given here."""
+        """Those of the algorithm: these actions' and the given ones."""
         given = {"gamma": self.gamma, "n_epochs": self.epochs}
-        return {name: value for name, value in given.items() if value}
+        return SETTINGS[self.kind] | {name: value for name, value in given.items() if value}
 
 
 class Curve(BaseCallback):
@@ -170,7 +177,7 @@ def explore(env: gym.Env[Any, Any], model: Any, building: int) -> list[float]:
 def train(args: Args, seed: int, folder: Path) -> None:
     """Train a seed; write model and curve. The learning rate falls to 0."""
     folder.mkdir(parents=True, exist_ok=True)
-    settings, rate = SETTINGS[args.algorithm] | args.settings, RATES[args.algorithm]
+    settings, rate = args.settings, RATES[args.kind]
     venv = VecMonitor(sb3_batch.make(args.env, args.environments, **args.options))
     venv = VecNormalize(venv, norm_obs=False, gamma=settings["gamma"])
     algorithm = MaskablePPO if args.algorithm == "maskable_ppo" else PPO
@@ -197,8 +204,7 @@ def lines(args: Args) -> dict[str, float]:
         episodes = [run_episode(EpisodeTask(policy, building, setting)) for building in range(args.buildings)]
         return float(np.mean([episode.figures[key] for episode in episodes]))
 
-    random = {} if args.algorithm == "maskable_ppo" else {"random_walk": "random walk"}
-    chosen = LINES if args.algorithm == "maskable_ppo" else {"nearest": LINES["nearest"]} | random
+    chosen = LINES if args.kind == "goal" else {"nearest": LINES["nearest"], "random_walk": "random walk"}
     return {text: score(policy) for policy, text in chosen.items()}
 
 

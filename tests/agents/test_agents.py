@@ -64,12 +64,14 @@ def test_training_ends_with_weights(launcher: Launcher, algorithm: str, tmp_path
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("algorithm", "steps"), [("ppo", 520), ("maskable_ppo", 200)])
+@pytest.mark.parametrize(
+    ("learner", "steps"), [("ppo", 520), ("ppo --actions goal --shaping 0.1", 200), ("maskable_ppo", 200)]
+)
 def test_the_first_training_writes_model_and_curve(
-    launcher: Launcher, algorithm: str, steps: int, tmp_path: Path
+    launcher: Launcher, learner: str, steps: int, tmp_path: Path
 ) -> None:
     pytest.importorskip("sb3_contrib")
-    options = f"--algorithm {algorithm} --steps {steps} --buildings 1 --environments 2 --max-steps 60 --out {tmp_path}"
+    options = f"--algorithm {learner} --steps {steps} --buildings 1 --environments 2 --max-steps 60 --out {tmp_path}"
     run_script(launcher, "train_first", tmp_path, *options.split())
     with (tmp_path / "seed-0" / "progress.csv").open() as file:
         rows = list(csv.DictReader(file))
