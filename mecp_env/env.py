@@ -311,17 +311,11 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         self._started().target = p_map.copy()
 
     def record_drive(self, goals: Goals, row: int, ended: Outcome) -> None:
-        """Record how a drive to a goal ended, and search for goals again.
-
-        While the pose is searched for, all goals are offered again when none is left.
-        """
+        """Record how a drive to a goal ended, and search for goals again."""
         episode = self._started()
         episode.target = None
         episode.goal_history.record(goals, row, ended, self._planning.goals)
         self.refresh_goals()
-        if episode.goal_history.searching and not len(episode.goals):
-            episode.goal_history.drives = []
-            self.refresh_goals()
 
     def observation(self) -> Observation:
         """The current observation, in fresh arrays."""

@@ -207,7 +207,7 @@ def find_goals(output: SlamOutput, history: GoalHistory, config: PlanningConfig)
     """All goals of a step that can be reached and are not closed in the history; see `Goals` for their order.
 
     Where none can be reached, the gaps that nothing explains; then the candidates and doors out of reach: no episode
-    ends while one remains.
+    ends while one remains. While the pose is searched for, all are tried again when none is left.
     """
     history.notice(output)
     if not output.grid.label.size:
@@ -218,6 +218,9 @@ def find_goals(output: SlamOutput, history: GoalHistory, config: PlanningConfig)
     if not found:
         gaps = not_visited(gap_goals(context, config.goals), history, config.goals)
         found = reachable(gaps, output, config) or out_of_reach(goals, output.belief.T_map_robot)
+    if not found and history.searching and history.drives:
+        history.drives = []
+        return find_goals(output, history, config)
     goals = with_levels(found, output, history)
     return Goals.of(in_order(goals, output.graph.resolve(output.graph.current)))
 
