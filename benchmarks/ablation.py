@@ -3,36 +3,59 @@
 Every switch of the configuration is turned round, every number is halved and doubled as far as its bounds allow; only
 what describes the sensor is left as it is. `--quick` has the switches alone. All variants run on the same drives,
 recorded with the true pose as the driver. The cells are those of `noise` (`odometry_x1`, `odometry_x4`, `range_4_m`,
-`slip_5_pct`), generated buildings (`hard`, with pedestrians and boxes in `people`), and `rough`: scans against a
-finished map at 2 m and 20 degrees (`loop`). A table has the mean differences to the default whose 95 % interval
-excludes 0; an error and the number of wrong pairs are better below 0, recall and the share of right scans above. `same
-bits` are variants that change no figure of any drive.
+`slip_5_pct`), generated buildings (`hard`, with pedestrians and boxes in `people`), buildings and robots of the task
+`ActiveHalls-v0` (`halls`), three floors of KTH (`kth`), recorded logs (`logs`: Intel, CSAIL, the first 1,000 scans of
+fr079; path errors online and smoothed, share of scans without a known pose), and `rough`: scans against a finished map
+at 2 m and 20 degrees (`loop`). Plans and logs are those of `shared/data` beside the repository; without them, their
+cells are left out. A table has the mean differences to the default whose 95 % interval excludes 0; an error and the
+number of wrong pairs are better below 0, recall and the share of right scans above. `same bits` are variants that
+change no figure of any drive.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import partial
+from functools import cache, partial
 from typing import Any, get_args
 
 import numpy as np
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, runs_of, shared_data
 from benchmarks.drives import Drive, replay
-from benchmarks.records import IN_MEMORY, Course, Records
+from benchmarks.real_logs import LOGS
+from benchmarks.records import HARD, IN_MEMORY, KTH, Course, Records, kth_plans
 from benchmarks.rough_pose import count_scans, drawn_looks, finish
 from benchmarks.tables import columns_of, flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
+from mecp_env.episode.tasks import TASKS
+from mecp_env.evaluation.calibration import Calibration, calibrate_log
+from mecp_env.evaluation.log_run import config_for, run_log
+from mecp_env.logs import read_log
+from mecp_env.logs.log import Log
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 
-DRIVES = {**dict.fromkeys(("odometry_x1", "odometry_x4", "range_4_m", "slip_5_pct", "hard", "people"), 4), "rough": 6}
+PEOPLE, HALLS, LOG, ROUGH = "people", "halls", "logs", "rough"
+DRIVES = {
+    **dict.fromkeys(("odometry_x1", "odometry_x4", "range_4_m", "slip_5_pct", HARD, PEOPLE, HALLS), 4),
+    KTH: 3,
+    LOG: 3,
+    ROUGH: 6,
+}
 SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 500, 3
 FIRST_SEED = 60  # after those that other benchmarks are judged by
-CROWD = {"crowd": {"people": 4}, "clutter": {"movable_boxes": 4}}
+FIRST_BUILDING = 800
+TASK = "ActiveHalls-v0"
+EXPLORED: dict[str, tuple[str, dict[str, Any]]] = {  # cell -> buildings of its drives, fields of the environment
+    HARD: (HARD, {}),
+    PEOPLE: (HARD, {"crowd": {"people": 4}, "clutter": {"movable_boxes": 4}}),
+    HALLS: (TASK, {name: TASKS[TASK][name] for name in ("laser", "odometry", "slam")}),
+    KTH: (KTH, {}),
+}
+LOG_SCANS = 1000
 ROUGH_SETS = ("paper", "hard", "twins")
 DEFAULT = "default"
 NUMBERS = (" halved", " doubled", " 1")  # what `--quick` leaves out
@@ -81,13 +104,19 @@ def is_valid(change: dict[str, Any]) -> bool:
 
 def run(options: Options) -> Figures:
     """The differences of each variant to the default, per cell."""
-    drives = [(cell, FIRST_SEED + number) for cell, number in runs_of(options, DRIVES, MOST, QUICK_DRIVES)]
+    runs = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
+    drives = [(cell, FIRST_SEED + number) for cell, number in runs if is_there(cell)]
     names = [name for name in changes() if not options.quick or not name.endswith(NUMBERS)]
     units = [(cell, seed, name) for cell, seed in drives for name in names]
     task = partial(measure, records=Records(options.records))
     rows = dict(zip(units, in_parallel(task, Row, units, options), strict=True))
     cells = grouped(drives, drives)
     return {name: {cell: differences(rows, of, name) for cell, of in cells.items()} for name in names[1:]}
+
+
+def is_there(cell: str) -> bool:
+    """Whether there are data for a cell."""
+    return bool(kth_plans()) if cell == KTH else cell != LOG or shared_data("logs") is not None
 
 
 def differences(rows: dict[tuple[str, int, str], Row], drives: list[tuple[str, int]], name: str) -> Figures:
@@ -100,8 +129,10 @@ def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
     """The figures of one variant on one drive of a cell."""
     cell, seed, name = task
     change = changes()[name]
-    if cell == "rough":
+    if cell == ROUGH:
         return roughly(records, seed, change)
+    if cell == LOG:
+        return on_log(tuple(LOGS)[(seed - FIRST_SEED) % len(LOGS)], change)
     drive = drive_of(cell, seed, records)
     counted = replay(drive, with_change(drive.slam, change)).counts
     seen = max(counted["tp"] + counted["fn"], 1)
@@ -117,8 +148,27 @@ def drive_of(cell: str, seed: int, records: Records) -> Drive:
     """The recorded drive of a cell."""
     if cell in noise.CELLS:
         return noise.drive_of(cell, seed, records)
-    fields = {"estimator": "truth", "max_steps": 1500} | (CROWD if cell == "people" else {})
-    return records.drive(Course(f"hard:{800 + seed}", seed, fields))
+    buildings, fields = EXPLORED[cell]
+    number = (seed - FIRST_SEED) % len(kth_plans()) if cell == KTH else FIRST_BUILDING + seed
+    return records.drive(Course(f"{buildings}:{number}", seed, {"estimator": "truth", "max_steps": 1500} | fields))
+
+
+@cache
+def calibrated(name: str) -> tuple[Log, Calibration | None]:
+    """A recorded log and its calibration, as in `real`."""
+    folder = shared_data("logs")
+    assert folder is not None
+    log = read_log(folder / f"{name}.npz")
+    return log, calibrate_log(log, config_for(log), {}, {}) if LOGS[name].calibrated else None
+
+
+def on_log(name: str, change: dict[str, Any]) -> Row:
+    """The path errors on a log: a path that is nowhere known is as wrong as it is long."""
+    log, calibration = calibrated(name)
+    run = LOGS[name].run.model_copy(update={"scans": LOG_SCANS})
+    figures = run_log(log, config_for(log, change, calibration), run, calibration=calibration).metrics()
+    errors = {f"log_{key}": math.log(figures.get(key, figures["metres"])) for key in ("ate_m", "final_ate_m")}
+    return {"lost_share": 1.0 - figures["localised_share"], **errors}
 
 
 def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:

@@ -32,7 +32,7 @@ from benchmarks.plan_scores import score_plan
 from benchmarks.real_logs import LOGS, map_log
 from benchmarks.real_logs import summarise as summarise_log
 from benchmarks.real_maps import MapData, caption, short, small_multiples
-from benchmarks.records import IN_MEMORY, Records, on_records
+from benchmarks.records import IN_MEMORY, KTH, Records, on_records
 from benchmarks.tables import columns_of, means, of_visits, ratios, sections, table_of, turned
 from benchmarks.variants import with_change
 from benchmarks.worlds import Visit, explored
@@ -42,7 +42,6 @@ from mecp_env.world.outline import build_outline
 PLANS, EXPLORED, VIEW = "plans", "explored", "view_180_deg"
 URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
 VIEW_DEG = 180.0
-KTH = "kth"  # the folder of the labelled plans
 STEPS_PER_M2 = 10.0
 MAPS = Path("runs/real")  # of each log, and of the first start in each plan
 COUNTS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}

@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Options, grouped, in_parallel
+from benchmarks.common import Options, grouped, in_parallel, shared_data
 from benchmarks.drives import Drive, record_drive
 from mecp_env import __version__
 from mecp_env.core.errors import MecpError
@@ -29,7 +29,9 @@ from mecp_env.core.files import read_bytes, write_atomic
 from mecp_env.core.provenance import checksum, dependencies
 from mecp_env.core.sensors import LaserView, Odometry, Scan
 from mecp_env.core.snapshot_file import FileKind, check_header
+from mecp_env.episode.tasks import TASKS
 from mecp_env.evaluation.ground_truth import GroundTruth
+from mecp_env.floorplans import load_plan
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
@@ -63,16 +65,20 @@ class RecordError(MecpError):
 class Course:
     """A breadth-first exploration; equal ones give equal drives on one kind of machine."""
 
-    layout: str  # a shipped name, or PRESET:NUMBER, a generated building of the split `test`
+    layout: str  # a shipped name, PRESET:NUMBER or TASK:NUMBER, a building of the split `test`, or kth:NUMBER, a plan
     seed: int  # of start and noise
     fields: dict[str, Any] = field(default_factory=dict)  # of the environment, as JSON has them
 
     def building(self) -> Layout:
         """The building. Raises `LayoutError`."""
-        preset, is_generated, number = self.layout.partition(":")
-        if not is_generated:
-            return load_layout(preset)
-        return load_layout(generate(GeneratorSpec.preset(preset), split_seed("test", int(number))))
+        name, is_one_of_many, number = self.layout.partition(":")
+        if not is_one_of_many:
+            return load_layout(name)
+        if name == KTH:
+            return load_plan(kth_plans()[int(number)])
+        fields = TASKS.get(name, {"difficulty": name})
+        spec = {key: value for key, value in fields.items() if key in ("difficulty", *GeneratorSpec.model_fields)}
+        return load_layout(generate(GeneratorSpec.preset(**spec), split_seed("test", int(number))))
 
     def drive(self) -> Drive:
         """The robot explores."""
@@ -102,6 +108,13 @@ class Records:
 
 IN_MEMORY = Records()
 HARD = "hard"  # the set of drives that are each in a generated building of its own
+KTH = "kth"  # the folder of the labelled plans
+
+
+def kth_plans() -> list[Path]:
+    """The labelled plans of `shared/data` beside the repository; none elsewhere."""
+    folder = shared_data("plans")
+    return [] if folder is None else sorted((folder / KTH).glob("*.yaml"))
 
 
 def place(layout: str, number: int) -> str:
