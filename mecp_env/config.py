@@ -12,9 +12,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError, KeywordError
-from mecp_env.core.registry import Names
 from mecp_env.core.sensors import LaserNoise
-from mecp_env.core.settings import PresetSettings, Settings, guess, number
+from mecp_env.core.settings import Names, PresetSettings, Settings, guess, number
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig

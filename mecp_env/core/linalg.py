@@ -252,32 +252,6 @@ def mirror_rows(P: Array, begin: int, end: int) -> None:
 
 
 @compiled
-def pick_measurements(z: Array, cov: Array, index: Ints, some_z: Array, some_cov: Array) -> None:
-    """Write the rows of z (n,2) and the 2x2 blocks of cov (2n,2n) that belong to `index` (k,): (k,2) and (2k,2k)."""
-    for i in range(index.shape[0]):
-        some_z[i, 0], some_z[i, 1] = z[index[i], 0], z[index[i], 1]
-        for j in range(index.shape[0]):
-            for u in range(2):
-                some_cov[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
-                some_cov[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
-
-
-@compiled
-def inflate(cov: Array, z: Array, place: float, turn: float, inflated: Array) -> None:
-    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of each point added.
-
-    Its sigma is place / r + turn r in m at a range r, with `place` in m^2 and `turn` in rad.
-    """
-    for i in range(cov.shape[0]):
-        for j in range(cov.shape[0]):
-            inflated[i, j] = cov[i, j]
-    for i in range(z.shape[0]):
-        sigma = place / z[i, 0] + turn * z[i, 0]
-        inflated[2 * i, 2 * i] += sigma * sigma
-        inflated[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
-
-
-@compiled
 def solve3(A: Array, g: Array) -> None:
     """Replaces g (3,) by d of (A + a little) d = g for a symmetric positive A (3,3), which is overwritten."""
     for k in range(3):

@@ -248,6 +248,30 @@ def _without_gone(kind: Any, value: Any) -> Any:
     return kind.without_gone(value) if is_section else value
 
 
+class Names:
+    """The names that a field may hold: built-in and registered ones."""
+
+    def __init__(self, *ours: str) -> None:
+        self.ours, self.others = ours, list[str]()
+
+    def check(self, name: str) -> str:
+        """`name` itself. Raises `ValueError` for an unknown one."""
+        known = [*self.ours, *self.others]
+        if name not in known:
+            listed = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
+            raise ValueError(f"Input should be {listed}{guess(name, known)}")
+        return name
+
+    def add(self, name: object) -> None:
+        """Let the field hold `name`, too. Raises `ConfigError` for one of ours, and for what is no name."""
+        if not isinstance(name, str) or not name.isidentifier():
+            raise ConfigError(f"name: {shown(name)}, letters, digits and _ expected")
+        if name in self.ours:
+            raise ConfigError(f"name: {name!r} is one of ours ({', '.join(self.ours)}); choose another")
+        if name not in self.others:
+            self.others.append(name)
+
+
 class PresetSettings(Settings):
     """A section with a field `preset`: what is not set beside it has the value of the preset, else the default.
 

@@ -13,8 +13,7 @@ import numpy as np
 
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.files import is_folder
-from mecp_env.core.registry import Names
-from mecp_env.core.settings import shown
+from mecp_env.core.settings import Names, shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
 from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed, unknown_split
 from mecp_env.world.generator import generate

@@ -9,9 +9,8 @@ from typing import Annotated, Any, ClassVar, Literal, Self
 from pydantic import AfterValidator, Field
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.registry import Names
 from mecp_env.core.sensors import LASERS, LaserNoise
-from mecp_env.core.settings import Settings, guess, shown
+from mecp_env.core.settings import Names, Settings, guess, shown
 from mecp_env.slam.messages import Belief
 
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows, carrier, row_type
-from mecp_env.core.linalg import inflate, pick_measurements
+from mecp_env.core.jit import compiled
 
 UNKNOWN_ROOM = -1
 HERE = -2  # the room of what is not seen through a door
@@ -201,6 +201,32 @@ class Corners:
 
     def __len__(self) -> int:
         return len(self.z)
+
+
+@compiled
+def pick_measurements(z: Array, cov: Array, index: Ints, some_z: Array, some_cov: Array) -> None:
+    """Write the rows of z (n,2) and the 2x2 blocks of cov (2n,2n) that belong to `index` (k,): (k,2) and (2k,2k)."""
+    for i in range(index.shape[0]):
+        some_z[i, 0], some_z[i, 1] = z[index[i], 0], z[index[i], 1]
+        for j in range(index.shape[0]):
+            for u in range(2):
+                some_cov[2 * i + u, 2 * j] = cov[2 * index[i] + u, 2 * index[j]]
+                some_cov[2 * i + u, 2 * j + 1] = cov[2 * index[i] + u, 2 * index[j] + 1]
+
+
+@compiled
+def inflate(cov: Array, z: Array, place: float, turn: float, inflated: Array) -> None:
+    """Write cov (2n,2n) of ranges and bearings z (n,2) with an independent error of each point added.
+
+    Its sigma is place / r + turn r in m at a range r, with `place` in m^2 and `turn` in rad.
+    """
+    for i in range(cov.shape[0]):
+        for j in range(cov.shape[0]):
+            inflated[i, j] = cov[i, j]
+    for i in range(z.shape[0]):
+        sigma = place / z[i, 0] + turn * z[i, 0]
+        inflated[2 * i, 2 * i] += sigma * sigma
+        inflated[2 * i + 1, 2 * i + 1] += (sigma / z[i, 0]) ** 2
 
 
 @carrier
