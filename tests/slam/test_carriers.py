@@ -1,11 +1,10 @@
-"""The small compiled functions behind the messages, against NumPy: indices, covariance blocks, rows of ids."""
+"""The small compiled functions behind the messages, against NumPy: indices, blocks, rows of ids."""
 
 from itertools import compress
 
 import numpy as np
 import pytest
 
-from mecp_env.core.linalg import downdate
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.landmark_map import are_whole, groups_of, link, without_doubles
 from mecp_env.slam.messages import Decision, FeatureState, Reason
@@ -25,23 +24,6 @@ def test_measurements_are_rows_and_blocks():
     assert (z == corners.z[index]).all()
     assert (corners.cov[np.ix_(rows, rows)] == R).all()
     assert (corners.R[3] == corners.cov[6:8, 6:8]).all()
-
-
-@pytest.mark.parametrize(("n", "rows"), [(3, 2), (8, 20), (33, 7), (70, 20)])
-def test_downdate_with_and_without_a_margin(n, rows):
-    rng = np.random.default_rng(n * rows)
-    A, W = rng.normal(size=(n, n)), rng.normal(size=(rows, n))
-    P = np.zeros((n + 5, n + 5))
-    P[:n, :n] = A @ A.T
-    expected = P[:n, :n] - W.T @ W
-    with_margin = P.copy()
-    downdate(P, n, W)
-    downdate(with_margin, n, np.pad(W, ((0, 0), (0, -n % 8))))
-    assert np.allclose(P[:n, :n], expected)
-    assert (P[:n, :n] == P[:n, :n].T).all()
-    assert (with_margin == P).all()
-    assert not P[n:].any()
-    assert not P[:, n:].any()
 
 
 def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
