@@ -8,14 +8,12 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
-from gymnasium.vector import AutoresetMode
 
 from mecp_env.vector import BatchEnv
 from tests.env.helpers import SMALL, same
 from tests.processes import gone_within
 from tests.vector.helpers import LAYOUT, N, choose, make_small
 
-STEPS = 14  # per environment
 STILL = np.zeros((N, 2), np.float32)
 
 
@@ -57,22 +55,6 @@ def row_of(infos: dict[str, Any], k: int) -> dict[str, Any]:
     """What a batched info holds of row `k`."""
     inner = {name: part for name, part in infos.items() if f"_{name}" in infos and infos[f"_{name}"][k]}
     return {name: row_of(part, k) if isinstance(part, dict) else part[k] for name, part in inner.items()}
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("actions", "mode"), [("velocity", AutoresetMode.NEXT_STEP), ("goal", AutoresetMode.SAME_STEP)]
-)
-def test_each_environment_goes_the_same_way_whatever_is_served_first(actions: str, mode: AutoresetMode) -> None:
-    keywords: dict[str, Any] = {"actions": actions, "max_steps": 30 if actions == "goal" else 5, "autoreset_mode": mode}
-    found = []
-    for size, workers in ((1, 2), (2, 2), (N, 1)):
-        venv = make_small(batch_size=size, workers=workers, **keywords)
-        found.append(histories(venv, STEPS))
-        venv.close()
-    assert any(part[0] or part[1] for rows in found[0] for _, (_, *part), _ in rows)  # episodes end on the way
-    assert same(found[0], found[1])
-    assert same(found[0], found[2])
 
 
 def test_all_at_once_gives_what_reset_and_step_give() -> None:

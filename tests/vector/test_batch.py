@@ -16,7 +16,7 @@ from mecp_env.core.processes import cores, start_method
 from mecp_env.vector import BatchEnv, hosted
 from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
-from tests.vector.helpers import LAYOUT, N, make_by, make_small
+from tests.vector.helpers import LAYOUT, N, make_small
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -155,9 +155,10 @@ def test_masks_of_all_goals_in_one_array(batch: BatchEnv) -> None:
     venv.close()
 
 
-@pytest.mark.parametrize("mode", ["batch", "sync", pytest.param("async", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
 def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
-    venv = make_by(mode, LAYOUT, 2, actions="goal", observation="flat", max_steps=30, **SMALL)
+    keywords = {"actions": "goal", "observation": "flat", "max_steps": 30} | SMALL
+    venv: Any = gymnasium.make_vec(LAYOUT, 2, vectorization_mode=mode, **keywords)
     observation, infos = venv.reset(seed=1)
     valid = [k for k, name in enumerate(mecp_env.flat_names(actions="goal")) if name.endswith("_valid")]
     ends = 0
@@ -167,7 +168,7 @@ def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
         assert infos["_action_mask"].all()
         assert np.array_equal(masks, observation[:, valid])
         assert np.array_equal(masks, venv.call("action_masks"))
-        assert mode != "batch" or np.array_equal(masks, venv.action_masks())
+        assert mode == "sync" or np.array_equal(masks, venv.action_masks())
         actions = np.array([int(venv.single_action_space.sample(mask=mask)) for mask in masks])
         observation, _, terminated, truncated, infos = venv.step(actions)
         ends += int((terminated | truncated).sum())

@@ -37,15 +37,6 @@ class Slow(gymnasium.Wrapper[Any, Any, Any, Any]):
         return super().step(action)
 
 
-class Faulty(gymnasium.Wrapper[Any, Any, Any, Any]):
-    """Ends its process in `step` where the first number of the action says so."""
-
-    def step(self, action: Any) -> Any:
-        if action[0] == -1.0:
-            os._exit(3)
-        return super().step(action)
-
-
 def run_script(text: str, **keywords: Any) -> subprocess.Popen[str]:
     """A Python process that runs `text`."""
     environment = os.environ | {"PYTHONPATH": str(ROOT)}
@@ -109,16 +100,6 @@ def test_workers_obey_though_the_process_that_they_work_for_does_not() -> None:
             process.terminate()
     assert gone_within(pids, SOON_S)
     venv.close()
-
-
-def test_a_worker_that_ends_by_itself_is_named() -> None:
-    venv = make_small(wrappers=(Faulty,))
-    venv.reset(seed=1)
-    actions = STILL.copy()
-    actions[0, 0] = -1.0
-    with pytest.raises(WorkerDied, match=r"worker 0 \(environments 0 to 0\) ended with exit code 3"):
-        venv.step(actions)
-    assert venv.closed
 
 
 def test_an_environment_that_cannot_be_made_in_a_worker_says_why() -> None:
@@ -233,7 +214,6 @@ def make_and_tell(pipe: Any) -> None:
 
 GROWTH_MB = 5.0
 STEPS = 20  # of an episode
-pytestmark = needs_linux
 
 
 def footprint(venv: BatchEnv) -> tuple[float, int]:

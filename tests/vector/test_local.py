@@ -6,16 +6,14 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
-from gymnasium.vector import AutoresetMode
 
 from mecp_env.core.errors import ActionError
 from mecp_env.core.processes import WorkerError
-from mecp_env.vector import BatchEnv, hosted
+from mecp_env.vector import hosted
 from tests.env.helpers import same
 from tests.processes import gone_within, needs_linux
 from tests.vector.helpers import N, make_small
 from tests.vector.test_async import histories
-from tests.vector.test_trajectories import KINDS, take, take_in_one_process
 
 STILL = np.zeros((N, 2), np.float32)
 CORES = [1, 2]  # all here; one slice here, the other in a worker
@@ -29,23 +27,15 @@ def own(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     return cores
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-def test_trajectories_are_those_of_gymnasiums_own_class(own: int, mode: AutoresetMode) -> None:
-    name, keywords = KINDS["velocity"]
-    venv = gymnasium.make_vec(name, N, context="fork", autoreset_mode=mode, **keywords)
-    assert isinstance(venv, BatchEnv)
-    assert len(venv.pids) == own - 1
-    assert same(take(venv, mode), take_in_one_process(mode))
-    venv.close()
-
-
-def test_send_and_recv_give_each_environment_what_workers_give(own: int) -> None:
+def test_send_and_recv_give_each_environment_the_same_whoever_steps_it_and_whatever_is_served_first(own: int) -> None:
     found = []
-    for keywords in ({"workers": None, "batch_size": 2}, {"workers": 2, "batch_size": N}):
-        venv = make_small(max_steps=5, **keywords)
+    for workers, size in ((None, 2), (2, 1), (2, N)):
+        venv = make_small(max_steps=5, autoreset_mode="SameStep", workers=workers, batch_size=size)
         found.append(histories(venv, 8))
         venv.close()
-    assert same(*found)
+    assert any(part[2] for rows in found[0] for _, part, _ in rows)  # episodes end on the way
+    assert same(found[0], found[1])
+    assert same(found[0], found[2])
 
 
 def test_goals_have_processes_only_unless_there_is_one_environment(own: int) -> None:
