@@ -18,7 +18,6 @@ from tests.slam.drives import scripted_drive
 from tests.slam.scans import PAPER, ROOM, front_end, take_scan
 
 ASIDE, BACKWARDS = {"x_m": -0.1, "y_m": 0.12, "heading_deg": 90.0}, {"heading_deg": 180.0}
-HALF = {"field_of_view_deg": 180.0, "beams": 360}
 TO_CORNERS = 0.1  # m, of a landmark from its true corner
 
 
@@ -45,18 +44,6 @@ def test_a_drive_with_a_mounted_laser_gives_the_right_map_which_is_entered_by_th
     for start, off in (((believed + np.array([0.2, -0.1, 0.1])).tolist(), 0.03), ("saved", 0.01)):
         entered = SlamPipeline.from_map(tmp_path / "map", start=start).start(drive.scans[-1])
         assert entered.belief.T_map_robot == pytest.approx(believed, abs=off)
-
-
-def test_an_exploration_with_half_a_view_is_finished_with_a_true_map():
-    env = make(layout="two_rooms", actions="goal", laser=HALF)
-    assert env.unwrapped.config.estimator_config.sensor.field_of_view_deg == 180.0
-    rows = explore(env)
-    assert rows[-1][2]
-    summary = env.unwrapped.summary()
-    assert summary["coverage"] > 0.95
-    assert summary["rooms_false"] == summary["doors_false"] == 0
-    assert summary["association_precision"] > 0.995
-    assert summary["pose_error_worst_m"] < 0.15
 
 
 def test_a_scan_wider_than_the_view_of_the_sensor_is_refused():
