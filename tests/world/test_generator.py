@@ -1,4 +1,4 @@
-"""Generated buildings match their specification, for every seed."""
+"""Generated buildings match their specification, for every seed; figures of buildings."""
 
 import math
 from collections import Counter
@@ -12,6 +12,7 @@ from shapely.geometry import Polygon
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed
+from mecp_env.world.doors import building_figures
 from mecp_env.world.generator import generate
 from mecp_env.world.layout import check_geometry, load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
@@ -198,3 +199,23 @@ def test_what_no_building_can_be_is_refused() -> None:
         split_seed("tests", 0)
     with pytest.raises(ConfigError, match="1000 buildings"):
         split_seed("test", 1000)
+
+
+def test_the_figures_of_two_rooms_are_those_counted_by_hand() -> None:
+    figures = building_figures(load_layout("two_rooms"))
+    assert (figures.rooms, figures.doors, figures.loops, figures.obstacles) == (2, 1, 0, 0)
+    assert figures.faces == figures.corners == 12  # four of each room, four of the door's jambs
+    assert figures.longest_corridor_m == 0.0
+
+
+def test_declared_loops_and_corridors_come_out() -> None:
+    for seed in range(3):
+        layout = generate(GeneratorSpec.preset("hard"), seed)
+        figures = building_figures(layout)
+        assert (figures.rooms, figures.loops, figures.obstacles) == (14, 3, len(layout.obstacles))
+        assert figures.longest_corridor_m > 6.0
+        assert figures.floor_m2 < figures.width_m * figures.height_m
+
+
+def test_only_a_narrow_room_is_a_corridor() -> None:
+    assert building_figures(load_layout("office")).longest_corridor_m == pytest.approx(16.0, abs=0.1)
