@@ -148,6 +148,8 @@ def test_what_was_never_reset_or_is_over_must_be_reset() -> None:
     venv = make_small(max_steps=1, autoreset_mode="Disabled")
     with pytest.raises(ResetNeeded, match=r"send\(\) before reset\(\) of the environments \[1\]"):
         venv.send(STILL[:1], [1])
+    with pytest.raises(ResetNeeded, match=r"\[0, 1, 2\]"):
+        venv.step(STILL)
     venv.reset(seed=1)
     venv.send(STILL[:2], [0, 1])
     assert venv.recv()[3].all()
@@ -156,10 +158,9 @@ def test_what_was_never_reset_or_is_over_must_be_reset() -> None:
     with pytest.raises(ResetNeeded, match=r"\[0, 1, 2\]"):
         venv.send(STILL)
     venv.close()
-    with pytest.raises(ClosedEnvironmentError):
-        venv.send(STILL)
-    with pytest.raises(ClosedEnvironmentError):
-        venv.recv()
+    for call in (venv.recv, lambda: venv.send(STILL), lambda: venv.step(STILL)):
+        with pytest.raises(ClosedEnvironmentError):
+            call()
 
 
 class Unsendable(gymnasium.Wrapper[Any, Any, Any, Any]):

@@ -42,6 +42,8 @@ def test_goals_have_processes_only_unless_there_is_one_environment(own: int) -> 
     for count, workers, processes in ((N, None, min(N, 2 * own)), (1, None, 0), (N, 1, 1)):
         venv = make_small(count, workers=workers, actions="goal")
         assert len(venv.pids) == processes
+        with pytest.raises(ResetNeeded, match="action_masks"):
+            venv.action_masks()
         observation, _ = venv.reset(seed=1)
         assert np.array_equal(venv.action_masks(), observation["goals"][:, :, 8] == 1.0)
         venv.close()
