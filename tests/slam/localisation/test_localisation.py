@@ -13,10 +13,11 @@ from mecp_env.slam.association import ignored
 from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.localisation import PoseGuard, agreement, count_ends
-from mecp_env.slam.localisation.relocalisation import clear_winner, count_distinct, fit, moved
+from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winner, count_distinct, fit, moved
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
+from tests.slam.drives import fed
 from tests.slam.make import evidence
 
 CONFIG = LocalisationConfig()
@@ -91,6 +92,19 @@ def test_fitted_poses_are_those_that_moved_the_points():
     there[~used] += 5.0
     np.testing.assert_allclose(fit(np.broadcast_to(points, there.shape), there, used), poses, atol=1e-9)
     assert count_distinct(np.array([[3, 3, -1, 0], [-1, -1, -1, -1], [1, 2, 3, 4]])).tolist() == [2, 0, 4]
+
+
+def test_one_scan_is_located_anywhere_in_the_map(mapped):
+    pipeline, output, drive = mapped
+    view = pipeline.map.view(output.belief, output.graph, np.empty(0, np.int64), output.step)
+    index = LandmarkIndex(view, CONFIG, REACH_M, TURN_RAD)
+    hits = 0
+    for k, features in enumerate(fed(SlamPipeline(), drive)):
+        if k % 10 == 0:
+            found = index.locate(features.corners, features.polygons)
+            assert all(len(one.corners) == len(set(one.ids.tolist())) for one in found)
+            hits += bool(found) and off(found[0].T_map_robot, in_map(drive, drive.T_world_robot[k])) < (0.2, 0.1)
+    assert hits >= 0.8 * (len(drive.scans) // 10)
 
 
 def test_a_pose_wins_only_where_no_other_explains_as_much():
