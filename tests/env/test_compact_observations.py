@@ -29,12 +29,6 @@ OWN: dict[str, Any] = {  # places and waiting are goals, too; no beam is on the 
 }
 
 
-def rollout(steps: int = STEPS, **keywords: Any) -> tuple[gymnasium.Env, list[Any]]:
-    env = make(start="random", **keywords)
-    first = env.reset(seed=4)[0]
-    return env, [first, *(row[0] for row in drive(env, steps))]
-
-
 def halved(value: float, half: float) -> float:
     return value / (abs(value) + half)
 
@@ -227,9 +221,12 @@ def test_names_match_the_vector_and_what_is_not_flat_is_refused() -> None:
 
 
 def test_the_image_shows_the_grid_goals_and_path() -> None:
-    _, seen = rollout(observation={"map": True})
-    env, images = rollout(observation="image")
-    image, coarse = images[-1], dict(zip(LAYERS, seen[-1]["map"], strict=True))
+    shows_map, env = (make(start="random", observation=observation) for observation in ({"map": True}, "image"))
+    for each in (shows_map, env):
+        each.reset(seed=4)
+        drive(each, STEPS)
+    image, seen = env.unwrapped.observation(), shows_map.unwrapped.observation()
+    coarse = dict(zip(LAYERS, seen["map"], strict=True))
     assert set(np.unique(image[0])) == {0, 170, 255}
     assert set(np.unique(image[1])) <= {0, 85, 170, 255}
     assert set(np.unique(image[2])) <= {0, 85, 170, 255}
