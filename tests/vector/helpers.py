@@ -14,7 +14,7 @@ PEOPLE: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2
 
 
 def make_small(count: int = N, **keywords: Any) -> BatchEnv:
-    """A batch of small environments, forked, with two workers by default."""
+    """A batch of small environments, forked, with two workers by default; it closes itself when a test is over."""
     return make_batch(LAYOUT, count, **({"context": "fork", "workers": 2} | SMALL | keywords))
 
 

@@ -69,8 +69,6 @@ def test_all_at_once_gives_what_reset_and_step_give() -> None:
         row[-1].pop("env_id")
         assert same(row, other.step(STILL + 0.5))
     assert same(one.step(STILL), other.step(STILL))  # both interfaces in turn
-    one.close()
-    other.close()
 
 
 def test_what_is_finished_first_is_served_first() -> None:
@@ -82,7 +80,6 @@ def test_what_is_finished_first_is_served_first() -> None:
     served = [venv.recv()[-1]["env_id"].tolist() for _ in range(N)]
     assert served[-1] == [0]
     assert sorted(served) == [[0], [1], [2]]
-    venv.close()
 
 
 def test_a_batch_is_smaller_when_fewer_are_under_way(batch: BatchEnv) -> None:
@@ -191,4 +188,3 @@ def test_masks_of_those_that_were_received() -> None:
     assert np.array_equal(masks, observation["goals"][:, :, 8] == 1.0)
     with pytest.raises(AlreadyPendingCallError, match=r"action_masks\(\)"):
         venv.action_masks()
-    venv.close()

@@ -37,8 +37,6 @@ def test_make_vec_takes_the_batch_for_every_id_and_its_spec_makes_it_again(name:
     again = gymnasium.make_vec(EnvSpec.from_json(venv.spec.to_json()))
     assert isinstance(again, BatchEnv)
     assert same(observation, again.reset(seed=1)[0])
-    venv.close()
-    again.close()
 
 
 def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
@@ -92,7 +90,6 @@ def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> N
     seen, _ = views.reset(seed=1)
     views.step(STILL + 0.9)
     assert not same(seen["pose"], kept)
-    views.close()
 
 
 @pytest.mark.parametrize("workers", [2, None])
@@ -123,7 +120,6 @@ def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.Mo
         with pytest.raises(Exception, match="pickle"):  # an answer that cannot be sent is no death
             venv.each(give_a_function, [()] * N)
     venv.step(STILL)
-    venv.close()
 
 
 def give_a_function(env: Any) -> Any:
@@ -164,7 +160,6 @@ def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
         observation, _, terminated, truncated, infos = venv.step(actions)
         ends += int((terminated | truncated).sum())
     assert ends > 0  # the mask of a new episode is that of its first observation
-    venv.close()
 
 
 def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> None:
@@ -176,7 +171,6 @@ def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> No
     infos = venv.step(STILL)[4]
     assert infos["final_info"]["episode"]["l"].tolist() == [2] * N
     assert infos["final_obs"][0].shape == venv.single_observation_space.shape
-    venv.close()
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
@@ -190,7 +184,6 @@ def test_the_mode_and_the_base_class_are_found_where_other_libraries_look(mode: 
         venv.step(STILL[:1])
         with pytest.raises(ResetNeeded, match=r"environments \[0\]"):
             venv.step(STILL[:1])
-    venv.close()
 
 
 def test_steps_and_waits_come_in_pairs_and_in_order(batch: BatchEnv) -> None:

@@ -99,7 +99,6 @@ def test_workers_obey_though_the_process_that_they_work_for_does_not() -> None:
         if process.pid in pids:
             process.terminate()
     assert gone_within(pids, SOON_S)
-    venv.close()
 
 
 def test_an_environment_that_cannot_be_made_in_a_worker_says_why() -> None:
@@ -189,7 +188,6 @@ def test_after_an_interrupted_wait_the_step_can_still_be_had() -> None:
         venv.step_wait()
     assert venv.step_wait()[4]["period"].tolist() == [1] * N
     assert calls == [0, 1, 1]
-    venv.close()
 
 
 def test_a_worker_process_may_not_start_others_which_a_single_environment_does_not_need() -> None:
@@ -242,7 +240,6 @@ def test_steps_and_episodes_cost_no_memory_and_no_files() -> None:
     memory, files = footprint(venv)
     drive(venv, 900)
     grown, left = footprint(venv)
-    venv.close()
     assert grown - memory < GROWTH_MB
     assert left == files
 
@@ -262,7 +259,6 @@ def test_workers_have_all_functions_from_the_start(context: str) -> None:
     venv.reset(seed=0)
     drive(venv, 100)
     after = venv.each(loaded, [(), ()])
-    venv.close()
     assert min(before) > 50
     assert after == before
 

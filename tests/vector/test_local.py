@@ -32,7 +32,6 @@ def test_send_and_recv_give_each_environment_the_same_whoever_steps_it_and_whate
     for workers, size in ((None, 2), (2, 1), (2, N)):
         venv = make_small(max_steps=5, autoreset_mode="SameStep", workers=workers, batch_size=size)
         found.append(histories(venv, 8))
-        venv.close()
     assert any(part[2] for rows in found[0] for _, part, _ in rows)  # episodes end on the way
     assert same(found[0], found[1])
     assert same(found[0], found[2])
@@ -46,7 +45,6 @@ def test_goals_have_processes_only_unless_there_is_one_environment(own: int) -> 
             venv.action_masks()
         observation, _ = venv.reset(seed=1)
         assert np.array_equal(venv.action_masks(), observation["goals"][:, :, 8] == 1.0)
-        venv.close()
 
 
 @pytest.mark.parametrize("bad", [0, 2])
@@ -68,7 +66,6 @@ def test_an_exception_keeps_its_type_and_the_batch_goes_on_after_a_reset(own: in
     assert venv.recv()[-1]["env_id"].tolist() == [env for env in range(N) if env != bad]
     venv.reset(seed=1)
     assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
-    venv.close()
 
 
 @needs_linux
@@ -105,7 +102,6 @@ def test_actions_may_be_overwritten_once_they_are_sent(own: int) -> None:
         venv.step_async(actions)
         actions[:] = later
         rows.append(venv.step_wait())
-        venv.close()
     assert same(*rows)
 
 
@@ -130,4 +126,3 @@ def test_after_an_interrupted_step_the_batch_must_be_reset(own: int) -> None:
         venv.step(STILL)
     venv.reset(seed=1)
     assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
-    venv.close()

@@ -44,8 +44,6 @@ def test_the_batch_gives_what_their_own_class_gives(actions: str) -> None:
     assert (given[-1][-1] is not None) == (actions == "goal")
     for mine, yours in zip(given, expected, strict=True):
         assert same(plain(mine), plain(yours))
-    ours.close()
-    other.close()
 
 
 def ends(diverged_sigma_m: float, max_steps: int) -> list[dict[str, Any]]:
@@ -56,7 +54,6 @@ def ends(diverged_sigma_m: float, max_steps: int) -> list[dict[str, Any]]:
     for _ in range(20):
         _, _, dones, infos = venv.step(np.tile(np.float32([0.5, 0.5]), (N, 1)))
         found += [infos[i] for i in np.flatnonzero(dones)]
-    venv.close()
     return found
 
 
@@ -107,9 +104,7 @@ def test_another_autoreset_mode_and_different_options_are_refused() -> None:
     batch = make_small()
     with pytest.raises(ValueError, match="SameStep"):
         sb3_batch.SB3Batch(batch)
-    batch.close()
     venv = make_batch()
     venv.set_options([{"start": "random"}, {}, {}])
     with pytest.raises(ValueError, match="same options"):
         venv.reset()
-    venv.close()
