@@ -17,7 +17,7 @@ from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, episode_of, make
+from tests.env.helpers import IDS, NEEDED, drive, episode_of, make, started
 
 FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
@@ -196,8 +196,7 @@ def test_the_best_place_is_the_last_before_waiting() -> None:
 
 
 def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
-    env = make(observation="flat").unwrapped
-    env.reset(seed=1)
+    env = started(observation="flat")
     episode = episode_of(env)
     belief = replace(episode.slam_output.belief, pose_cov=np.full((3, 3), np.nan))
     episode.slam_output = replace(episode.slam_output, belief=belief)

@@ -15,7 +15,7 @@ from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.layout import load_layout
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, SMALL, below, make
+from tests.env.helpers import IDS, NEEDED, SMALL, below, make, started
 
 ACTIONS = ("velocity", "discrete", "goal")
 FORMATS = ("dict", "flat", "image")
@@ -147,8 +147,7 @@ def test_the_paper_map_takes_no_other_layout(keywords):
 
 
 def test_render_without_a_mode_says_so_and_close_may_be_called_twice():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     with pytest.warns(UserWarning, match="render_mode"):
         assert env.render() is None
     env.close()

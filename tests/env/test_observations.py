@@ -19,7 +19,7 @@ from mecp_env.episode.observations import (
     rooms_after_merges,
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
-from tests.env.helpers import episode_of, make
+from tests.env.helpers import episode_of, started
 from tests.slam import make as carriers
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
@@ -146,8 +146,7 @@ def test_saturation_is_cut_and_counted():
 
 
 def test_left_out_and_cut_values_are_counted_in_info():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     episode = episode_of(env)
     far = belief_of(LANDMARKS + 5, np.random.default_rng(0))
     far.p_map[:] = 2.0 * EXTENT_M

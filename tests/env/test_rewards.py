@@ -32,7 +32,7 @@ from mecp_env.episode.rewards import (
     weights_of,
 )
 from mecp_env.slam.messages import Cell
-from tests.env.helpers import drive, episode_of, make, world_of
+from tests.env.helpers import drive, episode_of, make, started, world_of
 from tests.env.make import happened, reward_inputs
 from tests.slam.make import belief, grid
 
@@ -185,8 +185,7 @@ def test_a_contact_costs():
 
 
 def test_a_filter_that_diverged_completes_nothing():
-    env = make(end={"coverage": 0.1}, reward="terms").unwrapped
-    env.reset(seed=1)
+    env = started(end={"coverage": 0.1}, reward="terms")
     episode_of(env).pipeline.divergence.found = True
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated, info["diverged"]) == (False, True, True)

@@ -13,7 +13,7 @@ from benchmarks import restore
 from mecp_env.core.errors import MecpError
 from mecp_env.slam import MapError, SlamPipeline
 from mecp_env.slam.map_file import SlamMap
-from tests.env.helpers import drive, episode_of, make, same
+from tests.env.helpers import drive, episode_of, make, same, started
 from tests.env.test_movers import BUSY
 
 
@@ -26,8 +26,7 @@ def only_plain(data):
 
 
 def test_a_state_is_plain_data_and_shares_no_memory():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     drive(env, 5)
     state = env.get_state()
     assert only_plain(state)
@@ -98,8 +97,7 @@ DAMAGES = [
 
 
 def test_set_state_names_the_field_that_is_damaged_and_changes_nothing():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     drive(env, 5)
     state = env.get_state()
     drive(env, 3)
@@ -152,8 +150,7 @@ def test_a_door_that_a_wall_fills(tmp_path: Path) -> None:
     ],
 )
 def test_a_map_that_would_fail_in_a_step_is_refused(path: tuple[str, ...], value: object) -> None:
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     drive(env, 3)
     pipeline = copy.deepcopy(episode_of(env).pipeline)
     owner = pipeline
