@@ -108,11 +108,8 @@ def test_set_state_names_the_field_that_is_damaged_and_changes_nothing():
         assert same(env.get_state(), before)
 
 
-FEW = 20
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("number", range(FEW))
+@pytest.mark.parametrize("number", range(20))
 def test_a_random_state_and_its_map_are_restored(number: int) -> None:
     assert restore.failure_of((number,)) == ""
 
