@@ -7,9 +7,14 @@ from numpy.typing import NDArray
 from mecp_env.core.linalg import (
     add_product,
     block_of,
+    changed_part,
+    inverse3,
     low_rank,
+    own_blocks,
     product,
     product_of,
+    sandwich,
+    solve3,
 )
 
 Ints = NDArray[np.int64]
@@ -39,6 +44,30 @@ def test_products_are_those_of_numpy(m: int, depth: int, n: int) -> None:
         np.testing.assert_allclose(np.tril(lower), np.tril(C + A @ A.T), rtol=0.0, atol=1e-12)
     rows, columns = rng.integers(0, m, 3), rng.integers(0, n, 4)
     np.testing.assert_array_equal(block_of(C, rows, columns), C[np.ix_(rows, columns)])
+
+
+@pytest.mark.parametrize("depth", [1, 4, 7, 34])
+def test_own_blocks_are_to_the_bit_those_of_the_whole(depth: int) -> None:
+    rng = np.random.default_rng(depth)
+    P, A, B = (rng.normal(size=size) for size in ((20, 20), (8, depth), (8, depth)))
+    numbers, first = np.array([3, 4, 5, 6, 9, 10, 17, 18]), 3
+    whole, some = np.zeros((11, 11)), np.zeros((11, 11))
+    changed_part(P, numbers, A, np.ascontiguousarray(B.T), whole, first, all_pairs(8))
+    own_blocks(P, numbers, A, B, some, first)
+    for i in range(first, 11, 2):
+        np.testing.assert_array_equal(some[i : i + 2, i : i + 2], whole[i : i + 2, i : i + 2])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_small_systems_are_those_of_numpy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    J, root = rng.normal(size=(4, 3)), rng.normal(size=(3, 5)) * [[1.0], [30.0], [0.02]]
+    P, g = root @ root.T, rng.normal(size=3)
+    np.testing.assert_allclose(sandwich(J, P), J @ P @ J.T, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(inverse3(P) @ P, np.eye(3), atol=1e-6)
+    solved, spoilt = g.copy(), P.copy()
+    solve3(spoilt, solved)
+    np.testing.assert_allclose(solved, np.linalg.solve(P + np.diag(1e-6 * np.diag(P)), g), rtol=1e-6)
 
 
 @pytest.mark.parametrize(("n", "rank"), [(6, 0), (6, 1), (40, 9), (7, 7)])
