@@ -42,7 +42,7 @@ WHOLE = (
     "visible_landmarks_are_the_vertices_of_the_polygons_around_a_point",
     "every_decision_has_its_reason",
 )  # on few drives
-SLOW = (TESTS / "filters/test_consistency.py", TESTS / "filters/test_submap_digits.py")  # NEES of many drives
+SLOW = (TESTS / "filters/test_consistency.py",)  # NEES of many drives
 LIMIT_S = 150  # of the processor
 LIBRARIES = ("numba", "scipy.optimize", "scipy.sparse.linalg", "pymunk", "shapely", "pydantic")
 PAD = 1000  # bytes behind each file of the copy: a mutant is as long as the original, or else numba compiles all of it

@@ -6,21 +6,15 @@ import signal
 import socket
 import sys
 from collections.abc import Iterator
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from benchmarks import clutter, common
-from benchmarks.common import Figures, Options
-from benchmarks.records import Records
 from mecp_env.cli import main as cli
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.work_units import (
     FailedUnit,
-    KeptResults,
-    Shard,
     attempt,
     code_of,
     connected,
@@ -73,23 +67,6 @@ def root(number: int) -> dict[str, Any]:
     if number < 0:
         raise ValueError(f"no root of {number}")
     return {"root": number**0.5, "process": os.getpid()}
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("bounded")
-def test_a_cluster_of_two_nodes_gives_the_results_of_this_machine_to_the_bit(two_nodes: str, tmp_path: Path) -> None:
-    units = [("two_rooms", detection, 30, seed) for seed in range(2) for detection in (1.0, 0.8)]
-    task = partial(clutter.compare, (), records=Records(tmp_path / "records"))
-
-    def merged(name: str, **options: Any) -> str:
-        of_units = common.in_parallel(task, dict[str, Figures], units, Options(folder=tmp_path / name, **options))
-        return json.dumps([{name: row | {"associate_ms": 0.0} for name, row in rows.items()} for rows in of_units])
-
-    with pytest.raises(common.ShardDone):
-        merged("both", shard=Shard(2, 2))
-    kept = KeptResults(tmp_path / "both", dict[str, Figures], common.run_key(Options()))
-    assert len(kept.found) == 2  # the cluster runs the other two
-    assert merged("both", cluster=two_nodes) == merged("here")
 
 
 @pytest.mark.slow

@@ -46,21 +46,6 @@ def test_products_are_those_of_numpy(m: int, depth: int, n: int) -> None:
     np.testing.assert_array_equal(block_of(C, rows, columns), C[np.ix_(rows, columns)])
 
 
-@pytest.mark.parametrize(("first", "size"), [(0, 4), (3, 4), (3, 90)])
-def test_a_part_of_a_covariance_is_picked_and_changed(first: int, size: int) -> None:
-    rng = np.random.default_rng(first)
-    root, A = rng.normal(size=(size + 9, size + 9)), rng.normal(size=(size, 5))
-    P, numbers = root @ root.T, np.sort(rng.permutation(size + 9)[:size])
-    whole = np.full((first + size + 1, first + size + 1), 7.0)
-    pairs = all_pairs(size)[rng.random(size // 2) < 0.8]
-    changed_part(P, numbers, A, np.ascontiguousarray(A.T), whole, first, pairs)
-    rows = np.concatenate((pairs, pairs + 1))
-    part, expected = whole[first:-1, first:-1], P[np.ix_(numbers, numbers)] + A @ A.T
-    np.testing.assert_allclose(part[np.ix_(rows, rows)], expected[np.ix_(rows, rows)], atol=1e-11)
-    assert (whole[-1] == 7.0).all()
-    assert (whole[:, -1] == 7.0).all()
-
-
 @pytest.mark.parametrize("depth", [1, 4, 7, 34])
 def test_own_blocks_are_to_the_bit_those_of_the_whole(depth: int) -> None:
     rng = np.random.default_rng(depth)

@@ -1,15 +1,20 @@
-"""Worker processes: what they inherit, how they end, and what is said of one that dies (tests/vector has more)."""
+"""Worker processes (tests/vector has more), how much memory a process keeps, and how many cores it may use."""
 
+import ctypes
 import os
+import platform
+import runpy
 import signal
 import time
 import traceback
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+from benchmarks.process_use import memory_mb
 from mecp_env.core import processes
-from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerPool
+from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerPool, cores
 from tests.processes import gone_within, needs_linux, run_python
 
 pytestmark = needs_linux
@@ -134,3 +139,92 @@ def test_a_worker_that_does_not_stop_is_stopped(monkeypatch: pytest.MonkeyPatch)
     pool.close()
     assert time.monotonic() - start < 3.0
     assert gone_within(pids, 0.0)
+
+
+GLIBC = pytest.mark.skipif(platform.libc_ver()[0] != "glibc", reason="another C library keeps memory in its own way")
+AGAIN = """
+import resource, numpy, mecp_env.core.processes
+mecp_env.core.processes.keep()
+def faults():
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+    arrays = [numpy.ones(size << 17) for size in (9, 17, 31)]  # MB
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+print(faults(), faults())
+"""
+
+
+@GLIBC
+def test_freed_memory_between_blocks_in_use_is_returned() -> None:
+    blocks = [bytes(2_000) for _ in range(20_000)]
+    kept = blocks[::1_000]
+    del blocks
+    before = memory_mb(["self"])
+    processes.trim()
+    assert memory_mb(["self"]) < before - 20.0
+    assert len(kept) == 20
+
+
+@GLIBC
+def test_large_arrays_are_kept_for_later_where_that_is_asked_for() -> None:
+    first, again = map(int, run_python(AGAIN).split())
+    assert first > 10 * again
+
+
+def test_another_c_library_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ctypes, "CDLL", lambda name: object())  # without these functions
+    fresh = runpy.run_path(str(processes.__file__))  # which has not looked for the functions yet
+    fresh["trim"]()
+    fresh["keep"]()
+
+
+FOUR = {0, 1, 2, 3}
+
+
+def write(root: Path, files: dict[str, str]) -> Path:
+    for name, text in files.items():
+        path = root / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    return root
+
+
+def v2(path: str, **limits: str) -> dict[str, str]:
+    """The files of a process in a cgroup of version 2; the limit of each group by the last letter of its path."""
+    groups = {"root": "", "a": "/a", "b": "/a/b"}
+    files = {f"sys/fs/cgroup{groups[name]}/cpu.max": f"{quota} 100000\n" for name, quota in limits.items()}
+    return files | {"proc/self/cgroup": f"0::{path}\n"}
+
+
+def v1(quota: str) -> dict[str, str]:
+    """The same of version 1."""
+    folder = "sys/fs/cgroup/cpu,cpuacct/a/b/cpu.cfs_"
+    files = {f"{folder}quota_us": f"{quota}\n", f"{folder}period_us": "100000\n"}
+    return files | {"proc/self/cgroup": "12:memory:/a/b\n4:cpu,cpuacct:/a/b\n"}
+
+
+@pytest.mark.parametrize(
+    ("files", "expected"),
+    [
+        ({}, 4),  # not Linux
+        (v2("/"), 4),
+        (v2("/a", a="max"), 4),
+        (v2("/a", a="150000"), 2),
+        (v2("/a", a="20000"), 1),
+        (v2("/a", a="900000"), 4),
+        (v2("/a/b", a="300000", b="max"), 3),  # the limit of a group around it
+        (v2("/docker/1f", root="200000"), 2),  # in a container: its group is mounted as the root
+        (v1("250000"), 3),
+        (v1("-1"), 4),
+    ],
+)
+def test_the_smallest_limit_counts(
+    tmp_path: Path, files: dict[str, str], expected: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: FOUR, raising=False)
+    assert cores(write(tmp_path, files)) == expected
+
+
+def test_the_affinity_counts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(os, "sched_getaffinity", lambda _: {5}, raising=False)
+    assert cores(write(tmp_path, v2("/a", a="300000"))) == 1
+    assert cores() == 1

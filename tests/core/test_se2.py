@@ -3,11 +3,10 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map, to_robot, wrap_angle
+from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrap_angle
 
 LENGTHS = st.floats(-100.0, 100.0)
 ANGLES = st.floats(-1000.0, 1000.0)
@@ -65,13 +64,3 @@ def test_points_are_carried_as_by_the_matrices(T_map_robot, T_robot_laser, p_las
     np.testing.assert_allclose(
         to_map(T_robot_laser, p_laser), (homogeneous @ matrix(T_robot_laser).T)[:, :2], atol=1e-11
     )
-
-
-@pytest.mark.parametrize("seed", range(3))
-def test_ranges_and_bearings_become_points_of_the_map(seed):
-    rng = np.random.default_rng(seed)
-    z, T_map_robot = np.column_stack((rng.uniform(0.1, 9.0, 7), rng.uniform(-3.0, 3.0, 7))), rng.normal(size=3)
-    p_map = to_map(T_map_robot, polar_to_points(z))
-    turn = np.arctan2(*(p_map - T_map_robot[:2]).T[::-1]) - T_map_robot[2] - z[:, 1]
-    np.testing.assert_allclose(np.sin(0.5 * turn), 0.0, atol=1e-12)
-    np.testing.assert_allclose(np.hypot(*(p_map - T_map_robot[:2]).T), z[:, 0], atol=1e-12)

@@ -1,6 +1,5 @@
 """Units of work: what fails is named, what is finished is kept, and shards and resumed runs give the same bytes."""
 
-import errno
 import json
 import math
 import multiprocessing
@@ -19,7 +18,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core import files, work_units
+from mecp_env.core import work_units
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.processes import WorkerDied
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard, run_kept, run_units
@@ -216,22 +215,6 @@ def test_any_name_of_a_unit_is_a_file_in_the_folder(name: str, tmp_path: Path) -
     KeptResults(tmp_path / "kept", float, RUN).keep(name, 1.0)
     assert len(list((tmp_path / "kept").iterdir())) == 1
     assert KeptResults(tmp_path / "kept", float, RUN).found == {name: 1.0}
-
-
-def test_a_full_disk_names_the_file_and_leaves_no_part_of_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    kept = KeptResults(tmp_path, Figures, RUN)
-    kept.keep("seed 0", figures(0))
-
-    def full(handle: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr(files.os, "fsync", full)
-    with pytest.raises(OSError, match="No space left on device") as caught:
-        list(run_kept(figures, {"seed 0": 0, "seed 1": 1}, kept, 1))
-    assert Path(str(caught.value.filename)).name.startswith("seed_1-")
-    assert [path.name[:7] for path in tmp_path.iterdir()] == ["seed_0-"]
-    monkeypatch.undo()
-    assert len(dict(run_kept(figures, {"seed 0": 0, "seed 1": 1}, KeptResults(tmp_path, Figures, RUN), 1))) == 2
 
 
 def test_a_failed_unit_is_not_kept_and_is_run_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -21,6 +21,13 @@ def make(**keywords: Any) -> gymnasium.Env:
     return gymnasium.make("mecp_env/Layout-v0", **(SMALL | keywords))
 
 
+def started(seed: int = 1, **keywords: Any) -> Any:
+    """A small environment without wrappers after a reset."""
+    env = make(**keywords).unwrapped
+    env.reset(seed=seed)
+    return env
+
+
 def below(env: gymnasium.Env) -> gymnasium.Env:
     """The environment that an entry point made, without gymnasium's own wrappers."""
     while not isinstance(env, GoalActions) and env is not env.unwrapped:

@@ -17,7 +17,7 @@ from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, episode_of, make
+from tests.env.helpers import IDS, NEEDED, drive, episode_of, make, started
 
 FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
@@ -27,12 +27,6 @@ OWN: dict[str, Any] = {  # places and waiting are goals, too; no beam is on the 
     "planning": {"known_ground": {"places": 8, "wait_steps": 5}},
     "laser": {"sweeps": 1, "beams": 710},
 }
-
-
-def rollout(steps: int = STEPS, **keywords: Any) -> tuple[gymnasium.Env, list[Any]]:
-    env = make(start="random", **keywords)
-    first = env.reset(seed=4)[0]
-    return env, [first, *(row[0] for row in drive(env, steps))]
 
 
 def halved(value: float, half: float) -> float:
@@ -202,8 +196,7 @@ def test_the_best_place_is_the_last_before_waiting() -> None:
 
 
 def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
-    env = make(observation="flat").unwrapped
-    env.reset(seed=1)
+    env = started(observation="flat")
     episode = episode_of(env)
     belief = replace(episode.slam_output.belief, pose_cov=np.full((3, 3), np.nan))
     episode.slam_output = replace(episode.slam_output, belief=belief)
@@ -227,9 +220,12 @@ def test_names_match_the_vector_and_what_is_not_flat_is_refused() -> None:
 
 
 def test_the_image_shows_the_grid_goals_and_path() -> None:
-    _, seen = rollout(observation={"map": True})
-    env, images = rollout(observation="image")
-    image, coarse = images[-1], dict(zip(LAYERS, seen[-1]["map"], strict=True))
+    shows_map, env = (make(start="random", observation=observation) for observation in ({"map": True}, "image"))
+    for each in (shows_map, env):
+        each.reset(seed=4)
+        drive(each, STEPS)
+    image, seen = env.unwrapped.observation(), shows_map.unwrapped.observation()
+    coarse = dict(zip(LAYERS, seen["map"], strict=True))
     assert set(np.unique(image[0])) == {0, 170, 255}
     assert set(np.unique(image[1])) <= {0, 85, 170, 255}
     assert set(np.unique(image[2])) <= {0, 85, 170, 255}

@@ -29,14 +29,17 @@ def explore(env, seed=1, limit=60):
     return rows
 
 
-def test_the_explorer_completes_two_rooms():
-    env = make(actions="goal", laser={"preset": "paper", "sweeps": 4})
+@pytest.mark.parametrize("laser", [{"preset": "paper", "sweeps": 4}, {"field_of_view_deg": 180.0, "beams": 360}])
+def test_the_explorer_completes_two_rooms_with_a_true_map(laser):
+    env = make(actions="goal", laser=laser)
     rows = explore(env)
     assert rows[-1][2]
     summary = env.unwrapped.summary()
-    assert (summary["rooms_found"], summary["doors_found"], summary["doors_false"]) == (2, 1, 0)
+    assert (summary["rooms_found"], summary["doors_found"]) == (2, 1)
+    assert summary["rooms_false"] == summary["doors_false"] == summary["contacts"] == 0
     assert summary["coverage"] > 0.95
-    assert summary["contacts"] == 0
+    assert summary["association_precision"] > 0.99
+    assert summary["pose_error_worst_m"] < 0.15
     assert sum(row[4]["periods"] for row in rows) == summary["periods"]
 
 

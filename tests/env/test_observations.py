@@ -19,7 +19,7 @@ from mecp_env.episode.observations import (
     rooms_after_merges,
 )
 from mecp_env.slam.messages import Belief, Cell, FeatureTable, RoomGraph
-from tests.env.helpers import episode_of, make
+from tests.env.helpers import episode_of, started
 from tests.slam import make as carriers
 
 LAYER = {name: index for index, name in enumerate(observation_arrays.LAYERS)}
@@ -117,29 +117,22 @@ def landmark_table(belief: Belief, features: FeatureTable, graph: RoomGraph) -> 
     return rows
 
 
-def test_landmark_rows_against_a_plain_twin():
-    belief = belief_of(60, np.random.default_rng(2))
-    rows = landmark_table(belief, features_of(60), GRAPH)
+@pytest.mark.parametrize("n", [60, LANDMARKS + 44])
+def test_landmark_rows_against_a_plain_twin(n):
+    """Where there are too many, the nearest are kept."""
+    belief = belief_of(n, np.random.default_rng(2))
+    rows = landmark_table(belief, features_of(n), GRAPH)
     c, s = math.cos(belief.T_map_robot[2]), math.sin(belief.T_map_robot[2])
     to_robot = np.array([[c, s], [-s, c]])
     p_robot = (belief.p_map - belief.T_map_robot[:2]) @ to_robot.T
-    order = np.argsort(np.hypot(*p_robot.T))
-    covs = to_robot @ belief.covs @ to_robot.T
-    assert np.allclose(rows[:60, :2], p_robot[order], atol=1e-5)
-    assert np.allclose(rows[:60, 2:5], covs[order][:, [0, 0, 1], [0, 1, 1]], atol=1e-6)
-    assert np.array_equal(rows[:60, 5], np.where(order % 4 == 3, 1, order % 4))  # room 3 was merged into 1
-    assert np.array_equal(rows[:60, 6], order % 3)
-    assert rows[:60, 7].all()
-    assert not rows[60:].any()
-
-
-def test_the_nearest_landmarks_are_kept_when_there_are_too_many():
-    belief = belief_of(300, np.random.default_rng(3))
-    rows = landmark_table(belief, features_of(300), GRAPH)
-    far = np.hypot(rows[:, 0], rows[:, 1])
-    assert rows[:, 7].all()
-    assert (np.diff(far) >= -1e-5).all()
-    assert np.isclose(far[-1], np.sort(np.hypot(*(belief.p_map - belief.T_map_robot[:2]).T))[LANDMARKS - 1])
+    order = np.argsort(np.hypot(*p_robot.T))[:LANDMARKS]
+    covs, shown = to_robot @ belief.covs @ to_robot.T, rows[: len(order)]
+    assert np.allclose(shown[:, :2], p_robot[order], atol=1e-5)
+    assert np.allclose(shown[:, 2:5], covs[order][:, [0, 0, 1], [0, 1, 1]], atol=1e-6)
+    assert np.array_equal(shown[:, 5], np.where(order % 4 == 3, 1, order % 4))  # room 3 was merged into 1
+    assert np.array_equal(shown[:, 6], order % 3)
+    assert shown[:, 7].all()
+    assert not rows[len(order) :].any()
 
 
 def test_saturation_is_cut_and_counted():
@@ -153,8 +146,7 @@ def test_saturation_is_cut_and_counted():
 
 
 def test_left_out_and_cut_values_are_counted_in_info():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     episode = episode_of(env)
     far = belief_of(LANDMARKS + 5, np.random.default_rng(0))
     far.p_map[:] = 2.0 * EXTENT_M

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.spatial import cKDTree
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.potentials import (
@@ -15,8 +14,6 @@ from mecp_env.episode.potentials import (
     d_optimality,
     entropy,
     expected_area,
-    mapped_cells,
-    nearest_landmarks,
     register_reward,
     t_optimality,
 )
@@ -121,19 +118,3 @@ def test_a_custom_potential_that_fails_is_named_with_its_line() -> None:
     env = make(layout="two_rooms", reward={"custom": {"failing": 1.0}})
     with pytest.raises(ConfigError, match=r"potential 'failing' failed: AttributeError: .*\(<lambda>, line \d+\)"):
         env.reset(seed=0)
-
-
-@pytest.mark.parametrize("shape", [(64, 80), (37, 41), (8, 8), (1, 3)])
-def test_mapped_cells_are_counted_by_blocks(shape: tuple[int, int]) -> None:
-    rng = np.random.default_rng(0)
-    label = (rng.integers(0, 4, shape) * (rng.random(shape) < 0.5)).astype(np.uint8)
-    rows, columns = (np.arange(0, size, 8) for size in shape)
-    for only_floor, counted in ((False, label > 0), (True, (label == 1) | (label == 3))):
-        expected = np.add.reduceat(np.add.reduceat(counted.astype(int), rows, axis=0), columns, axis=1)
-        assert (mapped_cells(label, only_floor) == expected).all()
-
-
-def test_the_nearest_landmark_is_that_of_a_tree() -> None:
-    rng = np.random.default_rng(0)
-    places, p_map = rng.uniform(-9.0, 9.0, (200, 2)), rng.uniform(-9.0, 9.0, (60, 2))
-    assert (nearest_landmarks(places, p_map) == cKDTree(p_map).query(places)[1]).all()

@@ -6,7 +6,7 @@ from gymnasium.error import ResetNeeded
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.protocols import FullFilterWarning
-from tests.env.helpers import drive, episode_of, make, same, world_of
+from tests.env.helpers import drive, episode_of, make, same, started, world_of
 from tests.env.test_goal_actions import explore
 
 BAD_STARTS = ["nowhere", None, 1.0, [1.0, 2.0], ["a", "b", "c"], [float("nan"), 2.0, 0.0], [1e9, 2.0, 0.0]]
@@ -18,8 +18,7 @@ BAD_SEEDS = [True, np.bool_(True), 1.0, np.float64(2.0), -1, np.int64(-3), "1", 
 
 
 def test_bad_options_and_seeds_are_refused_and_change_nothing():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     before = env.get_state()
     for options in BAD_OPTIONS:
         with pytest.raises(ConfigError, match=r"options|start"):
@@ -33,8 +32,7 @@ def test_bad_options_and_seeds_are_refused_and_change_nothing():
 
 
 def test_the_start_can_be_given_or_random():
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     pose = env.view().T_world_robot + np.array([0.3, 0.1, 0.5])
     _, info = env.reset(seed=1, options={"start": pose.tolist()})
     assert np.allclose(env.view().T_world_robot, pose)
@@ -78,8 +76,7 @@ def test_step_needs_a_reset_which_takes_three_scans_at_rest_before_and_after_an_
 
 
 def test_an_episode_in_which_nothing_is_mapped_is_not_complete():
-    env = make(max_steps=30, slam={"segments": {"min_length_m": 5.0}}).unwrapped
-    env.reset(seed=1)
+    env = started(max_steps=30, slam={"segments": {"min_length_m": 5.0}})
     rows = drive(env, 30)
     assert [row[2:4] for row in rows[:30]] == [(False, False)] * 29 + [(False, True)]
     assert not env.slam_output.map_polygons
@@ -93,8 +90,7 @@ def test_info_counts_the_landmarks_that_found_no_room():
 
 
 def test_coverage_can_end_an_episode():
-    env = make(end={"coverage": 0.3}, reward="terms").unwrapped
-    env.reset(seed=1)
+    env = started(end={"coverage": 0.3}, reward="terms")
     _, _, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated) == (True, False)
     assert info["reward_completion"] == pytest.approx(10.0 * episode_of(env).memory.area_m2 / 100.0)
@@ -161,12 +157,3 @@ def test_the_estimator_does_not_change_what_is_sensed():
         poses.append([row[4]["truth_pose"] for row in rows] + [env.unwrapped.np_random.bit_generator.state["state"]])
     assert same(poses[0], poses[1])
     assert same(poses[0], poses[2])
-
-
-def test_true_identities_make_no_wrong_pair():
-    env = make(estimator="known", laser={"preset": "paper", "sweeps": 4}, actions="goal")
-    explore(env)
-    summary = env.unwrapped.summary()
-    assert summary["association_false"] == 0
-    assert summary["association_recall"] > 0.98  # a corner that is off by more than its noise is left out
-    assert summary["duplicates"] == 0

@@ -32,7 +32,7 @@ from mecp_env.episode.rewards import (
     weights_of,
 )
 from mecp_env.slam.messages import Cell
-from tests.env.helpers import drive, episode_of, make, world_of
+from tests.env.helpers import drive, episode_of, make, started, world_of
 from tests.env.make import happened, reward_inputs
 from tests.slam.make import belief, grid
 
@@ -127,26 +127,15 @@ def test_the_true_area_counts_where_it_is_asked_for():
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_landmark_information_against_a_plain_twin(seed):
+def test_information_is_that_of_determinants_and_finite(seed):
     rng = np.random.default_rng(seed)
-    factors = rng.normal(size=(7, 2, 2)) * 0.1
-    covs = factors @ factors.transpose(0, 2, 1) + 1e-4 * np.eye(2)
-
-    def mean_nat(covs: np.ndarray) -> float:
-        return information(np.eye(3), covs)[2]
-
-    assert mean_nat(covs) == pytest.approx(np.mean([-0.5 * np.linalg.slogdet(P)[1] for P in covs]))
-    assert mean_nat(covs[:0]) == 0.0
-    assert mean_nat(-covs[:1]) == mean_nat(np.full((1, 2, 2), np.nan)) == -60.0
-
-
-def test_the_information_of_a_pose_is_finite_and_right():
-    rng = np.random.default_rng(0)
-    a = rng.normal(size=(3, 3))
-    cov = a @ a.T + np.eye(3)
-    assert information(cov, NO_COVS)[1] == pytest.approx(-0.5 * np.linalg.slogdet(cov)[1])
-    assert information(np.eye(3) * 1e-300, NO_COVS)[1] == 60.0
-    assert information(-np.eye(3), NO_COVS)[1] == information(np.full((3, 3), np.nan), NO_COVS)[1] == -60.0
+    pose, landmarks = (a @ a.swapaxes(-1, -2) for a in (rng.normal(size=(3, 3)), rng.normal(size=(7, 2, 2))))
+    _, of_pose, of_landmarks = information(pose, landmarks)
+    assert of_pose == pytest.approx(-0.5 * np.linalg.slogdet(pose)[1])
+    assert of_landmarks == pytest.approx(np.mean(-0.5 * np.linalg.slogdet(landmarks)[1]))
+    assert information(1e-300 * pose, NO_COVS)[1:] == (60.0, 0.0)
+    for spoilt in (-1.0, np.nan):
+        assert information(spoilt * pose, spoilt * landmarks)[1:] == (-60.0, -60.0)
 
 
 def test_events():
@@ -196,8 +185,7 @@ def test_a_contact_costs():
 
 
 def test_a_filter_that_diverged_completes_nothing():
-    env = make(end={"coverage": 0.1}, reward="terms").unwrapped
-    env.reset(seed=1)
+    env = started(end={"coverage": 0.1}, reward="terms")
     episode_of(env).pipeline.divergence.found = True
     observation, reward, terminated, truncated, info = env.step(np.zeros(2, np.float32))
     assert (terminated, truncated, info["diverged"]) == (False, True, True)

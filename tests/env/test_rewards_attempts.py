@@ -6,7 +6,6 @@ The attempts use the true pose, which no agent has.
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -96,17 +95,8 @@ def bump(env: MecpEnv, rng: np.random.Generator) -> Drive:
             yield 0.0, 0.8
 
 
-def walk(env: MecpEnv, rng: np.random.Generator) -> Drive:
-    """A random walk."""
-    while True:
-        held = int(rng.integers(3, 21))
-        command = (0.0, rng.uniform(-1, 1)) if rng.random() < 0.3 else (rng.uniform(0.5, 1), rng.uniform(-0.25, 0.25))
-        for _ in range(held):
-            yield command
-
-
 ATTEMPTS: dict[str, Callable[[MecpEnv, np.random.Generator], Drive]] = {
-    attempt.__name__: attempt for attempt in (stand, spin, shuttle, blind, bump, walk)
+    attempt.__name__: attempt for attempt in (stand, spin, shuttle, blind, bump)
 }
 
 
@@ -147,45 +137,33 @@ def explore(seed: int, waits: int = 0, **keywords: Any) -> Episode:
 
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
-SEEDS = [0, pytest.param(1, marks=pytest.mark.slow)]
 WEIGHTS = RewardConfig(preset="terms")
 PAPER: dict[str, Any] = {"layout": "paper", "laser": {"sweeps": 1}, "start": "random"}
+DIVERGING = PAPER | {"laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}, "max_steps": STEPS}
+EARLY: dict[str, Any] = {"filter": {"diverged_sigma_m": 0.4}}
 
 
-@cache
-def honest(seed: int) -> Episode:
-    return explore(seed, max_steps=4 * STEPS, reward="terms", **PAPER)
+@pytest.fixture(scope="module")
+def honest() -> Episode:
+    return explore(0, max_steps=4 * STEPS, reward="terms", **PAPER)
 
 
-@cache
-def tried(name: str, seed: int) -> Episode:
-    return attempt(name, seed, max_steps=STEPS, reward="terms", **PAPER)
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("name", ATTEMPTS)
-def test_an_attempt_loses_by_episode_and_by_metre(name: str, seed: int) -> None:
-    given, other = tried(name, seed), honest(seed)
+def test_an_attempt_loses_by_episode_and_by_metre_and_no_area_is_paid_that_there_is_not(
+    name: str, honest: Episode
+) -> None:
+    given = attempt(name, 0, max_steps=STEPS, reward="terms", **PAPER)
     as_far = max(given.metres[-1], 5.0)
-    assert given.paid() < 0.2 * other.paid()
-    assert given.paid() < other.paid(until_m=as_far)  # without the completion reward
+    assert given.paid() < 0.2 * honest.paid()
+    assert given.paid() < honest.paid(until_m=as_far)  # without the completion reward
     assert given.paid("completion") == 0.0
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-@pytest.mark.parametrize("name", ATTEMPTS)
-def test_no_area_is_paid_that_there_is_not(name: str, seed: int) -> None:
-    given = tried(name, seed)
     assert given.mapped_m2 <= 1.1 * given.seen_m2  # walls are mapped too
     assert given.paid("area") <= WEIGHTS.area * given.mapped_m2
 
 
 @pytest.mark.parametrize("reward", ["terms", "coverage", "correct_coverage"])
 def test_driving_blind_until_the_filter_diverges_loses_all(reward: str) -> None:
-    keywords = {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}}
-    slam = {"filter": {"diverged_sigma_m": 0.4}, "panorama": {"use": "never"}}  # with recent scans it takes 284 steps
-    keywords |= {"start": "random", "max_steps": STEPS, "slam": slam}
+    keywords = DIVERGING | {"slam": EARLY | {"panorama": {"use": "never"}}}  # with recent scans it takes 284 steps
     lost, idle = attempt("blind", 0, reward=reward, **keywords), attempt("stand", 0, reward=reward, **keywords)
     assert lost.last["diverged"]
     if reward == "terms":
@@ -199,21 +177,10 @@ def test_driving_blind_until_the_filter_diverges_loses_all(reward: str) -> None:
 @pytest.mark.parametrize("reward", ["coverage", "correct_coverage"])
 def test_driving_blind_with_recent_scans_is_paid_less_than_the_metric(reward: str) -> None:
     """These keep the pose for most of the episode: what was mapped counts until then, and is taken back."""
-    keywords = {"layout": "paper", "laser": {"sweeps": 1, "max_range_m": 2.5}, "odometry": {"scale": 8.0}}
-    keywords |= {"start": "random", "max_steps": STEPS, "slam": {"filter": {"diverged_sigma_m": 0.4}}}
-    lost = attempt("blind", 0, reward=reward, **keywords)
+    lost = attempt("blind", 0, reward=reward, slam=EARLY, **DIVERGING)
     assert lost.last["diverged"]
     assert 0.0 < lost.paid(reward) < lost.last[f"{reward}_over_steps"]
     assert lost.rewards[-1][reward] < 0.0
-
-
-def test_breadth_first_earns_most_and_time_counts() -> None:
-    """Totals with default weights: exploring earns most, standing still costs time, a random walk costs contacts."""
-    stand, walk, other = tried("stand", 0), tried("walk", 0), honest(0)
-    assert other.paid() > 30.0
-    assert other.paid("area") + other.paid("completion") > 10.0 * abs(other.paid("time", "contact"))
-    assert walk.paid() < stand.paid() < 0.0
-    assert walk.paid("area") > 5.0 * stand.paid("area")
 
 
 def test_to_complete_earlier_earns_more() -> None:
@@ -256,12 +223,11 @@ SHARES = {"contact_share": -0.1, "lost_share": -0.1}
 METRICS = {"preset": "terms"} | dict.fromkeys(TERMS, 0.0) | dict.fromkeys(METRIC_PRESETS, 1.0) | SHARES
 
 
-@pytest.mark.parametrize("seed", SEEDS)
-def test_under_a_metric_every_attempt_earns_less_than_exploring(seed: int) -> None:
+def test_under_a_metric_every_attempt_earns_less_than_exploring() -> None:
     """The rewards of both metrics, in one episode."""
-    keywords = {"max_steps": 2 * STEPS, "reward": METRICS, **PAPER}
-    tries = {name: attempt(name, seed, **keywords) for name in ("stand", "spin", "shuttle", "bump")}
-    honest = explore(seed, **keywords)
+    keywords = {"max_steps": STEPS, "reward": METRICS, **PAPER}
+    tries = {name: attempt(name, 0, **keywords) for name in ("stand", "spin", "shuttle", "bump")}
+    honest = explore(0, **keywords)
     for metric in METRIC_PRESETS:
         paid = {name: given.paid(metric, *SHARES) for name, given in tries.items()}
         assert max(paid.values()) < 0.9 * honest.paid(metric, *SHARES)

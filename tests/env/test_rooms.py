@@ -48,13 +48,6 @@ def test_an_option_sets_the_difficulty_of_one_episode() -> None:
     assert np.array_equal(env.unwrapped.view().segments, hard.unwrapped.view().segments)
 
 
-def test_buildings_of_a_single_difficulty_keep_their_numbers() -> None:
-    one, several = make(difficulty="easy"), make(difficulty=["easy", "hard"])
-    assert one.reset(options={"building": 5})[1]["building"] == 5
-    assert several.reset(options={"building": 5})[1]["building"] == 5
-    assert np.array_equal(one.unwrapped.view().segments, several.unwrapped.view().segments)
-
-
 def test_a_state_continues_in_its_building_of_another_difficulty() -> None:
     env, other = make(), make()
     env.reset(seed=1, options={"difficulty": "easy"})

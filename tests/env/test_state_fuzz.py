@@ -11,7 +11,7 @@ import pytest
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.episode.episode import SHAPES
-from tests.env.helpers import make
+from tests.env.helpers import started
 from tests.processes import run_python
 
 PARTS = ("simulation", "moving", "episode")
@@ -103,8 +103,7 @@ def mutate(state: dict[str, Any], known: dict[str, Any], rng: np.random.Generato
 
 def run(first: int, count: int) -> dict[str, int]:
     """Mutate `count` snapshots; the seed of each is written before it is tried, so that a crash is known."""
-    env = make(laser={"sweeps": 1, "range_sigma_m": 0.01, "bearing_sigma_deg": 0.0}, crowd={"people": 2}).unwrapped
-    env.reset(seed=3)
+    env = started(seed=3, laser={"sweeps": 1, "range_sigma_m": 0.01, "bearing_sigma_deg": 0.0}, crowd={"people": 2})
     rng = np.random.default_rng(0)
     for _ in range(25):
         env.step(np.array([0.7, rng.uniform(-0.5, 0.5)], np.float32))
@@ -138,8 +137,7 @@ def test_mutated_snapshots_end_in_an_error_or_run() -> None:
 
 def test_an_array_cut_to_nothing_and_another_class_are_refused() -> None:
     """It ended the process once: free(): invalid pointer."""
-    env = make().unwrapped
-    env.reset(seed=1)
+    env = started()
     state = env.get_state()
     grid = state["episode"]["@object"][1]["pipeline"]["@object"][1]["grid"]["@object"][1]
     array = grid["canvas"]["@object"][1]["grid"]["@object"][1]["room"]["@array"]
@@ -153,8 +151,7 @@ def test_an_array_cut_to_nothing_and_another_class_are_refused() -> None:
 
 
 def test_every_array_of_a_state_has_its_shape_declared() -> None:
-    env = make(crowd={"people": 2}).unwrapped
-    env.reset(seed=1)
+    env = started(crowd={"people": 2})
     state, missing = env.get_state(), set()
     for part in ("moving", "episode"):
         for path in places(state[part]):

@@ -10,8 +10,6 @@ from gymnasium import spaces
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.registry import GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, choices, of_kind
-from mecp_env.policies.rollout import EpisodeTask, run_episode
-from mecp_env.policies.setting import Setting
 from tests.env.helpers import episode_of, same, until_over
 
 HALLS = "mecp_env/ActiveHalls-v0"
@@ -137,17 +135,3 @@ def test_it_is_small_and_flat_and_can_be_overridden() -> None:
     other = gymnasium.make("mecp_env/First-v0", max_steps=40, observation="dict", rooms=3)
     assert other.get_wrapper_attr("config").max_steps == 40
     assert isinstance(other.observation_space, spaces.Dict)
-
-
-@pytest.mark.slow
-def test_a_random_robot_leaves_much_to_learn_and_the_nearest_goal_sees_all() -> None:
-    env = gymnasium.make("mecp_env/First-v0", split="validation")
-    rng, ends = np.random.default_rng(0), []
-    for building in range(6):
-        env.reset(seed=building, options={"building": building})
-        *_, (*_, info) = until_over(env, lambda _: int(rng.integers(5)))
-        ends.append(info["coverage"])
-    assert np.mean(ends) < 0.7
-    setting = Setting("easy", "validation", "slam", 500)
-    nearest = [run_episode(EpisodeTask("nearest", building, setting)).figures["coverage"] for building in range(3)]
-    assert min(nearest) > 0.97

@@ -16,6 +16,7 @@ from tests.slam.make import MAX_RANGE_M, nominal_bearings
 PAPER = SensorModel()
 EXACT = SensorModel(range_sigma_m=0.0, bearing_sigma_deg=0.0)
 LMS200 = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0)
+GROWING = SensorModel(range_sigma_m=0.01, range_sigma_share=0.01, bearing_sigma_deg=0.0)
 
 
 def ring(*points):

@@ -1,4 +1,4 @@
-"""The checks of scans and odometry: compiled functions against a reference implementation."""
+"""The checks of scans, odometry and matches, and what a stage takes of corners."""
 
 import math
 from dataclasses import replace
@@ -134,3 +134,23 @@ def test_a_match_of_an_unsound_associator_is_refused(match, told):
     """Seen: compiled functions indexed arrays with such a match, and the process died."""
     with pytest.raises(MatchError, match=told):
         check_match(match, 3, 5)
+
+
+def test_nobody_can_change_a_match():
+    match = MatchBuilder(3).match()
+    for column in (match.ids, match.decision, match.reason, match.nis):
+        with pytest.raises(ValueError, match="read-only"):
+            column[0] = 1
+    changed = match.assign([1], 7, Decision.LANDMARK, Reason.ROOM)
+    assert changed.ids.tolist() == [-1, 7, -1]
+    assert match.ids.tolist() == [-1, -1, -1]
+
+
+def test_measurements_are_rows_and_blocks():
+    A, index = np.random.default_rng(1).normal(size=(10, 10)), np.array([3, 0, 4])
+    corners = make.corners(A[:5, :2], cov=A @ A.T)
+    z, R = corners.measurements(index)
+    rows = np.ravel(np.column_stack((2 * index, 2 * index + 1)))
+    assert (z == corners.z[index]).all()
+    assert (corners.cov[np.ix_(rows, rows)] == R).all()
+    assert (corners.R[3] == corners.cov[6:8, 6:8]).all()

@@ -18,7 +18,6 @@ from tests.slam.drives import scripted_drive
 from tests.slam.scans import PAPER, ROOM, front_end, take_scan
 
 ASIDE, BACKWARDS = {"x_m": -0.1, "y_m": 0.12, "heading_deg": 90.0}, {"heading_deg": 180.0}
-HALF = {"field_of_view_deg": 180.0, "beams": 360}
 TO_CORNERS = 0.1  # m, of a landmark from its true corner
 
 
@@ -45,44 +44,6 @@ def test_a_drive_with_a_mounted_laser_gives_the_right_map_which_is_entered_by_th
     for start, off in (((believed + np.array([0.2, -0.1, 0.1])).tolist(), 0.03), ("saved", 0.01)):
         entered = SlamPipeline.from_map(tmp_path / "map", start=start).start(drive.scans[-1])
         assert entered.belief.T_map_robot == pytest.approx(believed, abs=off)
-
-
-def test_a_mounted_laser_is_no_worse_than_a_centred_one():
-    """Over 24 drives: RMSE 1.9 +- 0.2 mm centred, 2.3 +- 0.4 mm at the mounting below, NEES 1.7 and 2.2."""
-
-    def scores(**view):
-        drives = [list(scripted_drive(seed=seed, **view).run(sensor_of(**view))) for seed in range(6)]
-        errors = np.array([error for drive in drives for *_, error in drive])
-        covs = np.array([output.belief.pose_cov for drive in drives for _, output, *_ in drive])
-        nees = np.einsum("ni,nij,nj->n", errors, np.linalg.inv(covs), errors).mean()
-        return float(np.sqrt(np.mean(np.square(errors[:, :2])))), float(nees)
-
-    (centred, _), (mounted, nees) = scores(), scores(**ASIDE)
-    assert mounted < 1.6 * centred
-    assert nees < 3.0
-
-
-def test_half_a_view_gives_the_right_map_without_a_phantom_at_its_edge():
-    drive, seen = scripted_drive(seed=4, **HALF), 0
-    for _, output, true, error in drive.run(sensor_of(**HALF)):
-        assert np.hypot(*error[:2]) < 0.1
-        edge = np.abs(output.corners.z[:, 1]) > math.radians(85.0)
-        seen += int(edge.sum())
-        assert (true[edge] >= 0).all()
-    assert seen > 0
-    assert off_corners(output, drive).max() < TO_CORNERS
-
-
-def test_an_exploration_with_half_a_view_is_finished_with_a_true_map():
-    env = make(layout="two_rooms", actions="goal", laser=HALF)
-    assert env.unwrapped.config.estimator_config.sensor.field_of_view_deg == 180.0
-    rows = explore(env)
-    assert rows[-1][2]
-    summary = env.unwrapped.summary()
-    assert summary["coverage"] > 0.95
-    assert summary["rooms_false"] == summary["doors_false"] == 0
-    assert summary["association_precision"] > 0.995
-    assert summary["pose_error_worst_m"] < 0.15
 
 
 def test_a_scan_wider_than_the_view_of_the_sensor_is_refused():
@@ -125,6 +86,10 @@ def test_the_upper_bounds_know_where_the_laser_is(estimator):
     env = make(actions="goal", estimator=estimator, laser=ASIDE)
     explore(env)
     summary = env.unwrapped.summary()
-    assert summary["association_false"] <= (0 if estimator == "known" else 2)
+    if estimator == "known":
+        assert summary["association_false"] == summary["duplicates"] == 0
+        assert summary["association_recall"] > 0.98  # a corner that is off by more than its noise is left out
+    else:
+        assert summary["association_false"] <= 2
     assert summary["map_rmse_m"] < 0.03
     assert summary["pose_error_worst_m"] < (1e-6 if estimator == "truth" else 0.05)

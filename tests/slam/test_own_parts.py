@@ -183,9 +183,7 @@ def singular(self: Any, _: Any) -> None:
 
 
 @pytest.mark.parametrize("spoil", [set_cov, set_mean, singular])
-def test_an_unsound_update_of_a_custom_filter_is_a_divergence(
-    own: dict[str, ModuleType], drive: Drive, spoil: Any, caplog: pytest.LogCaptureFixture
-) -> None:
+def test_an_unsound_update_of_a_custom_filter_is_a_divergence(own, drive, spoil, caplog) -> None:
     """Seen: the run went on with a negative variance or a landmark at nan, and did not say so."""
     make = spoilt(own["plain_ekf"], "update", spoil)
     pipeline = SlamPipeline(filter=make(SlamConfig().filter))
@@ -208,9 +206,7 @@ def test_an_unsound_update_of_a_custom_filter_is_a_divergence(
         ("predict", set_mean, "Spoilt.predict: a number is not finite"),
     ],
 )
-def test_an_unsound_custom_filter_is_refused_and_changes_nothing(
-    own: dict[str, ModuleType], drive: Drive, method: str, spoil: Any, said: str
-) -> None:
+def test_an_unsound_custom_filter_is_refused_and_changes_nothing(own, drive, method, spoil, said) -> None:
     """Seen: compiled functions read beyond the end of a window."""
     make = spoilt(own["plain_ekf"], method, spoil)
     register_filter("spoilt", make)
@@ -226,23 +222,9 @@ def fail(self: Any, _: Any) -> None:
     raise KeyError("fails")
 
 
-@pytest.mark.parametrize(
-    ("method", "spoil", "error"),
-    [
-        ("augment", fail, KeyError),
-        ("augment", set_mean, FilterError),
-        ("remove", fail, KeyError),
-        ("remove", set_mean, FilterError),
-    ],
-)
-def test_a_filter_that_fails_while_the_map_grows_changes_nothing(
-    own: dict[str, ModuleType],
-    drive: Drive,
-    method: str,
-    spoil: Any,
-    error: type[Exception],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
+@pytest.mark.parametrize("method", ["augment", "remove"])
+@pytest.mark.parametrize(("spoil", "error"), [(fail, KeyError), (set_mean, FilterError)])
+def test_a_filter_that_fails_while_the_map_grows_changes_nothing(own, drive, method, spoil, error, monkeypatch) -> None:
     """Seen: tracks were landmarks that the filter did not have, and the next step failed as well."""
     monkeypatch.setattr(landmark_map, "find_unconfirmed", lambda _, ids, __, step: ids[: step == 25])
     make = spoilt(own["plain_ekf"], method, spoil)

@@ -4,7 +4,6 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AutoresetMode
 
 from mecp_env.vector import BatchEnv, make_batch
 from tests.env.helpers import SMALL
@@ -15,18 +14,8 @@ PEOPLE: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2
 
 
 def make_small(count: int = N, **keywords: Any) -> BatchEnv:
-    """A batch of small environments, forked, with two workers by default."""
+    """A batch of small environments, forked, with two workers by default; it closes itself when a test is over."""
     return make_batch(LAYOUT, count, **({"context": "fork", "workers": 2} | SMALL | keywords))
-
-
-def make_by(
-    mode: str, name: str, count: int, autoreset: AutoresetMode = AutoresetMode.NEXT_STEP, **keywords: Any
-) -> Any:
-    """Environments by Gymnasium's own classes ("sync", "async") or ours ("batch")."""
-    if mode == "batch":
-        return make_batch(name, count, context="fork", workers=2, autoreset_mode=autoreset, **keywords)
-    own = {"autoreset_mode": autoreset} | ({"context": "fork"} if mode == "async" else {})
-    return gymnasium.make_vec(name, count, vectorization_mode=mode, vector_kwargs=own, **keywords)
 
 
 def choose(space: gymnasium.Space[Any], observation: Any, rng: np.random.Generator) -> Any:

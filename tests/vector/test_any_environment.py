@@ -59,14 +59,14 @@ def take(venv: Any, mode: AutoresetMode) -> list[Any]:
     return rows
 
 
-@pytest.mark.parametrize("workers", [2, None])
+@pytest.mark.parametrize(("workers", "cores"), [(2, 1), (None, 1), (None, 2)], ids=["workers", "here", "both"])
 @pytest.mark.parametrize("alone", [False, True])
 @pytest.mark.parametrize("mode", AutoresetMode)
 def test_a_batch_gives_what_gymnasiums_own_class_gives(
-    mode: AutoresetMode, alone: bool, workers: int | None, monkeypatch: pytest.MonkeyPatch
+    mode: AutoresetMode, alone: bool, workers: int | None, cores: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(hosted, "load", lambda: None)  # nothing here is compiled
-    monkeypatch.setattr(hosted, "cores", lambda: 1)
+    monkeypatch.setattr(hosted, "cores", lambda: cores)
     makers = [partial(Counter, alone)] * COUNT
     batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
     assert same(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))

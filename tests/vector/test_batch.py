@@ -6,7 +6,7 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoAsyncCallError, ResetNeeded
+from gymnasium.error import AlreadyPendingCallError, NoAsyncCallError, ResetNeeded
 from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 
@@ -16,7 +16,7 @@ from mecp_env.core.processes import cores, start_method
 from mecp_env.vector import BatchEnv, hosted
 from mecp_env.vector.hosted import slices
 from tests.env.helpers import IDS, NEEDED, SMALL, same
-from tests.vector.helpers import LAYOUT, N, make_by, make_small
+from tests.vector.helpers import LAYOUT, N, make_small
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -37,8 +37,6 @@ def test_make_vec_takes_the_batch_for_every_id_and_its_spec_makes_it_again(name:
     again = gymnasium.make_vec(EnvSpec.from_json(venv.spec.to_json()))
     assert isinstance(again, BatchEnv)
     assert same(observation, again.reset(seed=1)[0])
-    venv.close()
-    again.close()
 
 
 def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
@@ -92,7 +90,6 @@ def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> N
     seen, _ = views.reset(seed=1)
     views.step(STILL + 0.9)
     assert not same(seen["pose"], kept)
-    views.close()
 
 
 @pytest.mark.parametrize("workers", [2, None])
@@ -123,11 +120,14 @@ def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.Mo
         with pytest.raises(Exception, match="pickle"):  # an answer that cannot be sent is no death
             venv.each(give_a_function, [()] * N)
     venv.step(STILL)
-    venv.close()
 
 
 def give_a_function(env: Any) -> Any:
     return lambda: env
+
+
+def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
+    env.unwrapped.set_state(state)
 
 
 def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -142,22 +142,10 @@ def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pyt
         make_small(render_mode="human")
 
 
-def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
-    env.unwrapped.set_state(state)
-
-
-def test_masks_of_all_goals_in_one_array(batch: BatchEnv) -> None:
-    with pytest.raises(AttributeError, match="actions='goal'"):
-        batch.action_masks()
-    venv = make_small(actions="goal")
-    with pytest.raises(ResetNeeded, match="action_masks"):
-        venv.action_masks()
-    venv.close()
-
-
-@pytest.mark.parametrize("mode", ["batch", "sync", pytest.param("async", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
 def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
-    venv = make_by(mode, LAYOUT, 2, actions="goal", observation="flat", max_steps=30, **SMALL)
+    keywords = {"actions": "goal", "observation": "flat", "max_steps": 30} | SMALL
+    venv: Any = gymnasium.make_vec(LAYOUT, 2, vectorization_mode=mode, **keywords)
     observation, infos = venv.reset(seed=1)
     valid = [k for k, name in enumerate(mecp_env.flat_names(actions="goal")) if name.endswith("_valid")]
     ends = 0
@@ -167,12 +155,11 @@ def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
         assert infos["_action_mask"].all()
         assert np.array_equal(masks, observation[:, valid])
         assert np.array_equal(masks, venv.call("action_masks"))
-        assert mode != "batch" or np.array_equal(masks, venv.action_masks())
+        assert mode == "sync" or np.array_equal(masks, venv.action_masks())
         actions = np.array([int(venv.single_action_space.sample(mask=mask)) for mask in masks])
         observation, _, terminated, truncated, infos = venv.step(actions)
         ends += int((terminated | truncated).sum())
     assert ends > 0  # the mask of a new episode is that of its first observation
-    venv.close()
 
 
 def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> None:
@@ -184,7 +171,6 @@ def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> No
     infos = venv.step(STILL)[4]
     assert infos["final_info"]["episode"]["l"].tolist() == [2] * N
     assert infos["final_obs"][0].shape == venv.single_observation_space.shape
-    venv.close()
 
 
 @pytest.mark.parametrize("mode", AutoresetMode)
@@ -198,27 +184,19 @@ def test_the_mode_and_the_base_class_are_found_where_other_libraries_look(mode: 
         venv.step(STILL[:1])
         with pytest.raises(ResetNeeded, match=r"environments \[0\]"):
             venv.step(STILL[:1])
-    venv.close()
 
 
-def test_steps_and_waits_come_in_pairs_and_in_order() -> None:
-    venv = make_small()
-    with pytest.raises(ResetNeeded, match=r"\[0, 1, 2\]"):
-        venv.step(STILL)
-    venv.reset(seed=1)
+def test_steps_and_waits_come_in_pairs_and_in_order(batch: BatchEnv) -> None:
+    batch.reset(seed=1)
     with pytest.raises(NoAsyncCallError):
-        venv.step_wait()
-    venv.step_async(STILL)
-    with pytest.raises(AlreadyPendingCallError):
-        venv.step_async(STILL)
-    with pytest.raises(AlreadyPendingCallError):
-        venv.reset()
-    assert venv.step_wait()[4]["period"].tolist() == [1] * N
-    with pytest.raises(ValueError, match="actions: 2"):
-        venv.step(STILL[:2])
-    venv.close()
-    with pytest.raises(ClosedEnvironmentError):
-        venv.step(STILL)
+        batch.step_wait()
+    batch.step_async(STILL)
+    for call in (lambda: batch.step_async(STILL), batch.reset):
+        with pytest.raises(AlreadyPendingCallError):
+            call()
+    assert batch.step_wait()[4]["period"].tolist() == [1] * N
+    with pytest.raises(AttributeError, match="actions='goal'"):
+        batch.action_masks()
 
 
 WRONG = {

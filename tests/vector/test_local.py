@@ -6,16 +6,14 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.error import ClosedEnvironmentError, ResetNeeded
-from gymnasium.vector import AutoresetMode
 
 from mecp_env.core.errors import ActionError
 from mecp_env.core.processes import WorkerError
-from mecp_env.vector import BatchEnv, hosted
+from mecp_env.vector import hosted
 from tests.env.helpers import same
 from tests.processes import gone_within, needs_linux
 from tests.vector.helpers import N, make_small
 from tests.vector.test_async import histories
-from tests.vector.test_trajectories import KINDS, take, take_in_one_process
 
 STILL = np.zeros((N, 2), np.float32)
 CORES = [1, 2]  # all here; one slice here, the other in a worker
@@ -29,32 +27,24 @@ def own(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     return cores
 
 
-@pytest.mark.parametrize("mode", AutoresetMode)
-def test_trajectories_are_those_of_gymnasiums_own_class(own: int, mode: AutoresetMode) -> None:
-    name, keywords = KINDS["velocity"]
-    venv = gymnasium.make_vec(name, N, context="fork", autoreset_mode=mode, **keywords)
-    assert isinstance(venv, BatchEnv)
-    assert len(venv.pids) == own - 1
-    assert same(take(venv, mode), take_in_one_process(mode))
-    venv.close()
-
-
-def test_send_and_recv_give_each_environment_what_workers_give(own: int) -> None:
+def test_send_and_recv_give_each_environment_the_same_whoever_steps_it_and_whatever_is_served_first(own: int) -> None:
     found = []
-    for keywords in ({"workers": None, "batch_size": 2}, {"workers": 2, "batch_size": N}):
-        venv = make_small(max_steps=5, **keywords)
+    for workers, size in ((None, 2), (2, 1), (2, N)):
+        venv = make_small(max_steps=5, autoreset_mode="SameStep", workers=workers, batch_size=size)
         found.append(histories(venv, 8))
-        venv.close()
-    assert same(*found)
+    assert any(part[2] for rows in found[0] for _, part, _ in rows)  # episodes end on the way
+    assert same(found[0], found[1])
+    assert same(found[0], found[2])
 
 
 def test_goals_have_processes_only_unless_there_is_one_environment(own: int) -> None:
     for count, workers, processes in ((N, None, min(N, 2 * own)), (1, None, 0), (N, 1, 1)):
         venv = make_small(count, workers=workers, actions="goal")
         assert len(venv.pids) == processes
+        with pytest.raises(ResetNeeded, match="action_masks"):
+            venv.action_masks()
         observation, _ = venv.reset(seed=1)
         assert np.array_equal(venv.action_masks(), observation["goals"][:, :, 8] == 1.0)
-        venv.close()
 
 
 @pytest.mark.parametrize("bad", [0, 2])
@@ -76,7 +66,6 @@ def test_an_exception_keeps_its_type_and_the_batch_goes_on_after_a_reset(own: in
     assert venv.recv()[-1]["env_id"].tolist() == [env for env in range(N) if env != bad]
     venv.reset(seed=1)
     assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
-    venv.close()
 
 
 @needs_linux
@@ -113,7 +102,6 @@ def test_actions_may_be_overwritten_once_they_are_sent(own: int) -> None:
         venv.step_async(actions)
         actions[:] = later
         rows.append(venv.step_wait())
-        venv.close()
     assert same(*rows)
 
 
@@ -138,4 +126,3 @@ def test_after_an_interrupted_step_the_batch_must_be_reset(own: int) -> None:
         venv.step(STILL)
     venv.reset(seed=1)
     assert venv.step(STILL)[-1]["period"].tolist() == [1] * N
-    venv.close()

@@ -7,10 +7,9 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
-from gymnasium.vector import AutoresetMode
 
 from tests.env.helpers import SMALL, same
-from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose, make_by
+from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose
 
 BUILDINGS: dict[str, Any] = {"difficulty": "easy", "laser": SMALL["laser"]}
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -23,24 +22,13 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
 STEPS = 10  # an episode ends, and the next one goes on
 
 
-def take(venv: Any, autoreset: AutoresetMode) -> list[Any]:
-    """All results of a vector environment on a drive; without autoreset, environments are reset by mask."""
+def take(venv: Any) -> list[Any]:
+    """All results of a vector environment on a drive."""
     rng = np.random.default_rng(0)
     rows = [venv.reset(seed=11)]
     for _ in range(STEPS):
         rows.append(venv.step(choose(venv.single_action_space, rows[-1][0], rng)))
-        over = rows[-1][2] | rows[-1][3]
-        if autoreset == AutoresetMode.DISABLED and over.any():
-            rows.append(venv.reset(seed=[5 * len(rows) + i for i in range(N)], options={"reset_mask": over}))
     return rows
-
-
-@cache
-def take_in_one_process(autoreset: AutoresetMode) -> list[Any]:
-    """The drive of `take` by the vector class of Gymnasium that steps in this process."""
-    name, keywords = KINDS["velocity"]
-    with closing(make_by("sync", name, N, autoreset, **keywords)) as venv:
-        return take(venv, autoreset)
 
 
 @cache
@@ -48,11 +36,11 @@ def take_forked() -> list[Any]:
     """The drive of `take` by a batch of two forked workers."""
     name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
-        return take(venv, AutoresetMode.NEXT_STEP)
+        return take(venv)
 
 
 def take_alone(kind: str) -> list[list[tuple[Any, ...]]]:
-    """The drive of `take` with the autoreset NEXT_STEP, by single environments: for each row, what each gave."""
+    """The drive of `take` by single environments: for each row, what each gave."""
     name, keywords = KINDS[kind]
     envs = [gymnasium.make(name, disable_env_checker=True, **keywords) for _ in range(N)]
     rng = np.random.default_rng(0)
@@ -76,8 +64,8 @@ def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any,
 @pytest.mark.parametrize("kind", KINDS)
 def test_each_environment_goes_as_it_would_alone(kind: str) -> None:
     name, keywords = KINDS[kind]
-    with closing(make_by("batch", name, N, **keywords)) as venv:
-        together, alone = take(venv, AutoresetMode.NEXT_STEP), take_alone(kind)
+    with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
+        together, alone = take(venv), take_alone(kind)
     assert len(together) == len(alone)
     assert any(row[2].any() or row[3].any() for row in together[1:])  # episodes end on the way
     for row, singles in zip(together, alone, strict=True):
@@ -96,4 +84,4 @@ def test_neither_how_processes_are_started_nor_what_each_steps_changes_anything(
     name, keywords = KINDS["velocity"]
     with closing(gymnasium.make_vec(name, N, workers=workers, context=context, **keywords)) as venv:
         assert len(venv.pids) == workers
-        assert same(take(venv, AutoresetMode.NEXT_STEP), take_forked())
+        assert same(take(venv), take_forked())

@@ -88,10 +88,6 @@ def lattice(count: int, step: float, size: float = 0.3) -> list[tuple[float, flo
     return [place for place in places if np.hypot(*place) > 3.0][:count]
 
 
-def square(x: float, y: float, half: float) -> list[list[float]]:
-    return [[x - half, y - half], [x + half, y - half], [x + half, y + half], [x - half, y + half]]
-
-
 def weave(count: int) -> list[Document]:
     """So many walls along x and as many along y: every one crosses every other one."""
     at = np.linspace(-190.0, 190.0, count).round(3).tolist()

@@ -10,8 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from shapely.geometry import Polygon
 
 from mecp_env.core.errors import LayoutError
@@ -200,49 +198,6 @@ def test_what_is_no_layout_is_refused(tmp_path: Path) -> None:
             load_layout(wrong)
     with pytest.raises(LayoutError, match=r"layout\.rooms: .*at least 1 item"):
         Layout(name="x", walls=[], rooms=[], starts=[])
-
-
-numbers = st.one_of(
-    st.integers(-(10**6), 10**6), st.floats(), st.floats(-20, 20), st.sampled_from([0, 5, 9, 1e-9, 10**400])
-)
-values = st.recursive(
-    st.one_of(st.none(), st.booleans(), numbers, st.text(max_size=4)),
-    lambda inner: st.one_of(st.lists(inner, max_size=4), st.dictionaries(st.text(max_size=4), inner, max_size=3)),
-    max_leaves=8,
-)
-
-
-def mutate(document: Any, data: st.DataObject) -> None:
-    """Replaces, removes or doubles something at a random place of `document`."""
-    place = document
-    while True:
-        keys = list(place) if isinstance(place, dict) else list(range(len(place)))
-        key = data.draw(st.sampled_from(keys))
-        inner = place[key]
-        if not (isinstance(inner, dict | list) and inner) or data.draw(st.integers(0, 5)) == 0:
-            break
-        place = inner
-    action = data.draw(st.sampled_from(["value", "number", "remove", "double"]))
-    if action == "remove":
-        del place[key]
-    elif action == "double" and isinstance(place, list):
-        place.append(copy.deepcopy(inner))
-    else:
-        place[key] = data.draw(numbers if action == "number" else values)
-
-
-@settings(max_examples=120, deadline=None)
-@given(st.data())
-def test_spoilt_documents_raise_nothing_but_layout_errors(data: st.DataObject) -> None:
-    document = copy.deepcopy(DOCUMENTS[data.draw(st.sampled_from(["two_rooms", "furnished"]))])
-    for _ in range(data.draw(st.integers(1, 3))):
-        if document:
-            mutate(document, data)
-    try:
-        layout = load_layout(document)
-    except LayoutError:
-        return
-    assert load_layout(json.loads(layout.to_json())) == layout
 
 
 @pytest.mark.parametrize("name", shipped_layouts())

@@ -222,29 +222,6 @@ def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) 
     assert touched > 5
 
 
-@pytest.mark.parametrize("boxes", [8])
-def test_what_takes_no_part_in_contacts_is_not_touched(monkeypatch: pytest.MonkeyPatch, boxes: int) -> None:
-    parts: list[tuple[Array, Array]] = []
-
-    def noted(*arguments: Any) -> tuple[Array, Array]:
-        parts.append(drive.may_touch(*arguments))
-        return parts[-1]
-
-    monkeypatch.setattr("mecp_env.world.simulation.may_touch", noted)
-    rng, left_out = np.random.default_rng(1), 0
-    for seed in range(3):
-        simulation, movers = crowded(boxes, seed)
-        for _ in range(60):
-            before = movers.state.boxes.copy()
-            parts.clear()
-            simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8]))
-            for met, pushed in parts:
-                left_out += (~met).sum() + (~pushed).sum()
-                assert (gaps(movers, simulation.T_world_robot[:2])[0][~met] > 0.0).all()
-                assert np.array_equal(movers.state.boxes[~pushed], before[~pushed])
-    assert left_out > 50
-
-
 def test_what_may_touch_the_robot_or_a_box_that_moves() -> None:
     pedestrians = np.zeros((4, crowd.PEDESTRIAN))
     pedestrians[:, crowd.RADIUS], pedestrians[:, crowd.PACE] = 0.25, 1.0

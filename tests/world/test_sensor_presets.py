@@ -17,14 +17,11 @@ from mecp_env.world.outline import Outline, build_outline
 from tests.world.make import motion
 
 REAL = sorted(LASERS.keys() - {"paper", "ideal"})
-VIEW_DEG = {"lms200": 180.0, "urg04lx": 240.0, "utm30lx": 270.0, "rplidar_a1": 360.0}
-STEP_DEG = {"lms200": 0.5, "urg04lx": 360.0 / 1024.0, "utm30lx": 0.25, "rplidar_a1": 1.0}
-RANGE_M = {"lms200": 80.0, "urg04lx": 5.6, "utm30lx": 30.0, "rplidar_a1": 12.0}
-SIGMA_M = {  # at (m)
-    "lms200": {1.0: 0.01, 5.0: 0.01, 20.0: 0.01},
-    "urg04lx": {0.5: 0.01, 1.0: 0.01, 2.0: 0.02, 4.0: 0.04},
-    "utm30lx": {1.0: 0.01, 10.0: 0.01, 28.0: 0.028},
-    "rplidar_a1": {0.2: 0.002, 1.0: 0.01, 5.0: 0.05, 10.0: 0.1},
+SHEETS = {  # view and step between beams (deg), range (m), sigma (m) by distance (m)
+    "lms200": (180.0, 0.5, 80.0, {1.0: 0.01, 5.0: 0.01, 20.0: 0.01}),
+    "urg04lx": (240.0, 360.0 / 1024.0, 5.6, {0.5: 0.01, 1.0: 0.01, 2.0: 0.02, 4.0: 0.04}),
+    "utm30lx": (270.0, 0.25, 30.0, {1.0: 0.01, 10.0: 0.01, 28.0: 0.028}),
+    "rplidar_a1": (360.0, 1.0, 12.0, {0.2: 0.002, 1.0: 0.01, 5.0: 0.05, 10.0: 0.1}),
 }
 LONG_M, WIDE_M = 60.0, 20.0
 
@@ -51,22 +48,22 @@ def square_ranges(
 
 @pytest.mark.parametrize("name", REAL)
 def test_geometry_is_that_of_the_sheet(hall: Outline, name: str) -> None:
-    config = LaserConfig(preset=name)
-    assert config.field_of_view_deg == pytest.approx(VIEW_DEG[name], abs=0.5)
-    assert config.field_of_view_deg / config.beams == pytest.approx(STEP_DEG[name], rel=1e-3)
-    assert (config.max_range_m, config.sweeps) == (RANGE_M[name], 1)
+    config, (view_deg, step_deg, range_m, _) = LaserConfig(preset=name), SHEETS[name]
+    assert config.field_of_view_deg == pytest.approx(view_deg, abs=0.5)
+    assert config.field_of_view_deg / config.beams == pytest.approx(step_deg, rel=1e-3)
+    assert (config.max_range_m, config.sweeps) == (range_m, 1)
     scan = Laser(hall, config).scan(np.array([30.0, 10.0, 0.0]), np.random.default_rng(0))
     assert scan.ranges.shape == (1, config.beams)
-    assert np.diff(scan.bearings[0]) == pytest.approx(np.full(config.beams - 1, math.radians(STEP_DEG[name])), rel=1e-3)
+    assert np.diff(scan.bearings[0]) == pytest.approx(np.full(config.beams - 1, math.radians(step_deg)), rel=1e-3)
 
 
-@pytest.mark.parametrize(("name", "distance_m"), [(name, r) for name in REAL for r in SIGMA_M[name]])
+@pytest.mark.parametrize(("name", "distance_m"), [(name, r) for name in REAL for r in SHEETS[name][3]])
 def test_range_noise_is_that_of_the_sheet(hall: Outline, name: str, distance_m: float) -> None:
     """From 2,000 beams or more: unbiased, with the sheet's standard deviation at that range."""
     config = LaserConfig(preset=name, dark_share=0.0)
-    scans = math.ceil(2000 * STEP_DEG[name] / 4.0)
+    scans = math.ceil(2000 * SHEETS[name][1] / 4.0)
     measured, true = square_ranges(hall, config, distance_m, scans)
-    errors = ((measured - true) / SIGMA_M[name][distance_m]).ravel()
+    errors = ((measured - true) / SHEETS[name][3][distance_m]).ravel()
     assert len(errors) >= 1500
     assert errors.mean() == pytest.approx(0.0, abs=4.0 / math.sqrt(len(errors)))
     assert errors.std() == pytest.approx(1.0, abs=0.07)

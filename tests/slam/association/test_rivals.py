@@ -138,6 +138,8 @@ def test_ccda_finds_the_clique_of_an_exhaustive_search(seed):
     found, tried = maximum_clique(*graph, 1, MANY)
     assert sorted(found.tolist()) == exhaustive_clique(*graph)
     assert tried < MANY
+    assert maximum_clique(*graph, len(found), MANY)[0].tolist() == found.tolist()
+    assert len(maximum_clique(*graph, len(found) + 1, MANY)[0]) == 0  # fewer than the least pairs
 
 
 def test_distances_and_their_variances_are_those_of_samples():
@@ -152,13 +154,6 @@ def test_distances_and_their_variances_are_those_of_samples():
     np.testing.assert_allclose(variance, sampled.var(axis=0), rtol=0.05, atol=1e-12)
     off = (p[:, :, None] - p[:, None]).mean(axis=0)
     np.testing.assert_allclose(direction, np.arctan2(off[..., 1], off[..., 0]), atol=1e-3)
-
-
-def test_a_clique_of_fewer_than_the_least_pairs_does_not_count():
-    graph = random_graph(np.random.default_rng(24))
-    found, _ = maximum_clique(*graph, 1, MANY)
-    assert maximum_clique(*graph, len(found), MANY)[0].tolist() == found.tolist()
-    assert len(maximum_clique(*graph, len(found) + 1, MANY)[0]) == 0
 
 
 def test_of_more_pairs_than_a_search_can_compare_the_cheapest_are_candidates():

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from mecp_env.slam.filters.models import change_chart, linearise, predict, retract
-from tests.slam.filters.conftest import Pair, random_odometry
+from mecp_env.slam.filters.models import linearise, retract
+from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import exp_map, expected, wrap
 
 SLOTS = np.array([0, 3, 2])
@@ -51,46 +51,6 @@ def test_measurement_jacobian(invariant):
         numeric = central_difference(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
         np.testing.assert_allclose(wrap(h - expected(x, SLOTS)), 0.0, atol=1e-12)
         np.testing.assert_allclose(H, numeric, atol=1e-7, rtol=1e-5)
-
-
-def test_motion_noise_is_the_jacobian_of_the_motion():
-    rng = np.random.default_rng(2)
-    odometry = random_odometry(rng, arcs=3)
-    start = np.array([0.4, -1.0, 2.0])
-
-    def end(noise: np.ndarray) -> np.ndarray:
-        pose = start.copy()
-        for (d, w), (n_d, n_w, n_side) in zip(odometry.increments, noise.reshape(3, 3), strict=True):
-            middle, length = pose[0] + (w + n_w) / 2, d + n_d
-            pose[1:] += [length * np.cos(middle), length * np.sin(middle)]
-            pose[1:] += n_side * np.array([-np.sin(middle), np.cos(middle)])
-            pose[0] += w + n_w
-        return pose
-
-    G = central_difference(end, np.zeros(9))
-    Q = np.zeros((9, 9))
-    for k in range(3):
-        Q[3 * k : 3 * k + 2, 3 * k : 3 * k + 2] = odometry.cov[k]
-        Q[3 * k + 1, 3 * k + 1] += 0.02 / 3
-        Q[3 * k + 2, 3 * k + 2] += 0.01 / 3
-    state = np.zeros((4, 3))
-    state[0] = start
-    predict(state, 3, odometry.increments, odometry.cov, 0.01, 0.02, False)
-    np.testing.assert_allclose(state[1:], G @ Q @ G.T, atol=1e-10)
-    np.testing.assert_allclose(state[0], end(np.zeros(9)), atol=1e-14)
-
-
-def test_world_covariance_of_the_invariant_error():
-    rng = np.random.default_rng(4)
-    x, P = random_state(rng), np.cov(rng.normal(size=(11, 30)))
-    T = central_difference(lambda e: retracted(x, e, True), np.zeros(11))
-    state = np.vstack((x, P))
-    change_chart(state, 11, 1.0, True)
-    np.testing.assert_allclose(state[1:], T @ P @ T.T, atol=1e-6)
-    change_chart(state, 11, -1.0, True)
-    np.testing.assert_allclose(state[1:], P, atol=1e-12)
-    change_chart(state, 11, 1.0, False)
-    np.testing.assert_allclose(state[1:], P, atol=1e-12)
 
 
 def test_same_belief_as_the_dense_twin(kind):

@@ -2,15 +2,13 @@
 
 import copy
 
-import gymnasium as gym
 import numpy as np
 import pytest
 
-import mecp_env  # noqa: F401  (registers the environments)
-from mecp_env.core.snapshot import StateError
+from mecp_env.slam import MapError, SlamMap, SlamPipeline
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
-from tests.env.helpers import episode_of
+from tests.slam.drives import fed
 from tests.slam.filters.conftest import Pair
 from tests.slam.filters.test_submap import Drive
 from tests.slam.filters.twin import J
@@ -59,12 +57,10 @@ def test_first_estimates_follow_their_landmarks() -> None:
     np.testing.assert_array_equal(other.first[3:].reshape(-1, 2), first)
 
 
-def test_a_state_with_damaged_first_estimates_is_refused() -> None:
-    env, other = (gym.make("mecp_env/PaperMap-v0", slam={"filter": {"kind": "fej"}}).unwrapped for _ in range(2))
-    env.reset(seed=1)
-    landmark_filter = episode_of(env).pipeline.filter
-    for damaged in (landmark_filter.first[:-1], landmark_filter.first * np.nan):
-        landmark_filter.first = damaged
-        state = env.get_state()
-        with pytest.raises(StateError, match="first"):
-            other.set_state(state)
+def test_a_map_with_damaged_first_estimates_is_refused(drive) -> None:
+    pipeline = SlamPipeline({"filter": {"kind": "fej"}})
+    *_, _ = fed(pipeline, drive, last=5)
+    for damaged in (pipeline.filter.first[:-1], pipeline.filter.first * np.nan):
+        pipeline.filter.first = damaged
+        with pytest.raises(MapError, match="first"):
+            SlamMap.of(pipeline)

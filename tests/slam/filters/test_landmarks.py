@@ -6,7 +6,7 @@ import pickle
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import compose, to_map, to_robot, wrap_angle
+from mecp_env.core.se2 import compose, to_map
 from mecp_env.core.sensors import LaserView
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FilterError, make_filter
@@ -140,19 +140,3 @@ def test_the_laser_moves_as_the_robot_does(kind):
     assert believed.T_map_robot == pytest.approx(expected.T_map_robot)
     assert believed.pose_cov == pytest.approx(expected.pose_cov)
     assert mounted.belief().T_map_robot == pytest.approx(compose(expected.T_map_robot, VIEW.T_robot_laser))
-
-
-def test_the_innovation_is_that_of_the_equations_with_the_mounting_in_them(pair):
-    """S = H P H^T + R, H by finite differences of what a mounted laser measures, by the robot's pose and landmarks."""
-    mean, P = pair.filter.marginal(pair.ids)
-    pair.filter.shift_pose(VIEW.T_robot_laser)
-
-    def measured(x):
-        p = to_robot(compose(x[:3], VIEW.T_robot_laser), x[3:].reshape(-1, 2))
-        return np.stack([np.hypot(p[:, 0], p[:, 1]), np.arctan2(p[:, 1], p[:, 0])], axis=1).ravel()
-
-    z, R = measured(mean) + 0.01, sensor_cov(pair.rng, len(pair.ids))
-    H = make.slopes(measured, mean)
-    nu, S = pair.filter.innovation(z.reshape(-1, 2), R, pair.ids)
-    assert [wrap_angle(angle) for angle in nu] == pytest.approx(np.full(len(nu), 0.01))
-    np.testing.assert_allclose(S, H @ P @ H.T + R, rtol=1e-5, atol=1e-8)

@@ -4,11 +4,9 @@ import copy
 
 import numpy as np
 import pytest
-from scipy.optimize import least_squares
 
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import FilterError, make_filter
-from tests.slam import make
 from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import J, exp_map, expected, rotation, wrap
 
@@ -62,20 +60,6 @@ def cost_of(pair: Pair, mean: np.ndarray, cov: np.ndarray, z: np.ndarray, R: np.
         return np.concatenate([prior @ xi, noise @ nu.ravel()])
 
     return residuals
-
-
-@pytest.mark.parametrize("heading_error", [0.05, -0.6])
-def test_iterated_update_finds_the_most_likely_state_for_the_plain_error(heading_error):
-    pair, z, R, _ = lost("ekf", heading_error)
-    mean, cov = pair.mean.copy(), pair.cov.copy()
-    best = least_squares(cost_of(pair, mean, cov, z, R), np.zeros(len(mean)), xtol=1e-14, ftol=1e-14, gtol=1e-14)
-    pair.filter.update_iterations = 20
-    pair.filter.update(z, R, pair.ids, iterate=True)
-    np.testing.assert_allclose(wrap(pair.mean - mean - best.x), 0.0, atol=2e-5)
-    residuals = cost_of(pair, mean + best.x, cov, z, R)  # the covariance is that of the error about the new mean
-    jacobian = make.slopes(residuals, np.zeros(len(mean)))
-    information = jacobian.T @ jacobian
-    np.testing.assert_allclose(pair.cov, np.linalg.inv(information), atol=1e-5)
 
 
 @pytest.mark.parametrize("heading_error", [0.05, -0.6])

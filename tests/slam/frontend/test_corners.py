@@ -204,17 +204,6 @@ def test_a_door_is_a_pair_of_jambs_also_over_the_wrap(sensor, angle):
     assert np.linalg.eigvalsh(corners.cov).min() > 0.0
 
 
-def test_corners_behind_the_door_are_marked_and_no_sites():
-    faces = np.concatenate([with_door(), ring((4.0, -0.2), (4.0, 0.2), (4.4, 0.2), (4.4, -0.2))])
-    for seed in range(3):
-        corners, points = corners_of(faces, LMS200, seed)
-        i = at(points, 4.0, 0.2)
-        assert corners.beyond[i] == 0
-        assert not corners.sites[i]
-        near = points[:, 0] < 2.0
-        assert (corners.beyond[near] == -1).all()
-
-
 @pytest.mark.parametrize(
     ("width", "config", "doors"),
     [(w, CornerConfig(), n) for w, n in ((0.5, 0), (0.65, 1), (1.2, 1), (1.6, 1), (1.9, 1), (2.1, 0))]
@@ -396,13 +385,16 @@ def test_the_floor_gets_wider_where_more_beams_pass_the_line_of_a_jamb_than_stop
     assert widening(scan, (2.0, -0.8), (2.0, 0.8), *rules) == sides
 
 
-def test_corners_before_a_door_and_aside_of_it_are_not_behind_it():
+def test_only_what_is_behind_a_door_is_marked_and_no_site():
     door = with_door()[:2]  # the right jamb, and its face
     left = chain((2.12, 0.45), (2.0, 0.45), (2.0, 1.5), (3.2, 1.5), (3.2, 3.0), (-2.0, 3.0), (-2.0, -2.0), (2.0, -2.0))
-    before = ring((1.2, -0.15), (1.2, 0.15), (1.36, 0.15), (1.36, -0.15))
+    before = ring((1.2, -0.2), (1.2, 0.1), (1.36, 0.1), (1.36, -0.2))
     behind = chain((2.12, -0.45), (2.12, -2.0), (5.0, -2.0), (5.0, 1.4), (2.12, 1.4), (2.12, 0.45))
+    box = ring((4.0, 0.38), (4.0, 0.75), (4.4, 0.75), (4.4, 0.38))
     for seed in range(3):
-        corners, points = corners_of(np.concatenate([door, left, before, behind]), LMS200, seed)
+        corners, points = corners_of(np.concatenate([door, left, before, behind, box]), LMS200, seed)
         assert len(corners.doorways.jambs) == 1
-        assert corners.beyond[at(points, 1.2, 0.15)] == -1
+        assert corners.beyond[at(points, 1.2, 0.1)] == -1
         assert corners.beyond[at(points, 3.2, 3.0)] == -1
+        assert corners.beyond[at(points, 4.0, 0.75)] == 0
+        assert not corners.sites[at(points, 4.0, 0.75)]

@@ -10,11 +10,10 @@ from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.frontend.scan import longest_run, merge_sweeps, restore_lost_beams, stop_at_walls
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M, nominal_bearings
-from tests.slam.scans import PAPER, ROOM, cast, chain, front_end, ring, take_scan
+from tests.slam.scans import GROWING, LMS200, PAPER, ROOM, cast, chain, front_end, take_scan
 
 DARK = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, dark_dropout=0.2)
 SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80.0)
-GROWING = SensorModel(range_sigma_m=0.01, range_sigma_share=0.01, bearing_sigma_deg=0.0)
 
 
 def test_sweeps_that_do_not_interleave_in_order_are_sorted():
@@ -128,30 +127,12 @@ def test_nothing_behind_a_slanting_wall_is_free():
     beams, _, segments, corners = front_end(scan, SLANTING)
     assert len(segments.line) == 1
     assert len(corners) == 0  # the wall goes on unseen: it has no end there
-    assert len(front_end(scan, SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0))[-1]) > 0
+    assert len(front_end(scan, LMS200)[-1]) > 0
     stopped = stop_at_walls(beams, segments, SLANTING)
     towards = (bearings[0] > math.radians(3.0)) & (bearings[0] < math.radians(177.0))
     np.testing.assert_allclose(stopped.ranges[towards], 1.0 / np.sin(bearings[0][towards]), rtol=0.01)
     assert (stopped.ranges[bearings[0] < 0.0] == 30.0).all()
     assert np.array_equal(stopped.hit, beams.hit)
-
-
-@pytest.mark.parametrize("distance_m", [1.0, 6.0])
-def test_lines_are_as_certain_as_the_noise_at_their_range(distance_m):
-    """The errors of a wall's direction and distance have the covariance that the front end gives them."""
-    d = distance_m
-    faces, errors = ring((d, -d), (d, d), (-d, d), (-d, -d)), []
-    rng = np.random.default_rng(1)
-    for _ in range(100):
-        true = cast(faces, nominal_bearings(1))
-        ranges = true + rng.normal(0.0, 1.0, true.shape) * np.maximum(0.01, 0.01 * true)
-        segments = front_end(make.scan(ranges), GROWING)[2]
-        for (alpha, rho), cov in zip(segments.line, segments.cov, strict=True):
-            turn = (alpha + math.pi / 4.0) % (math.pi / 2.0) - math.pi / 4.0  # from the normal of the nearest wall
-            if abs(turn) < 0.1:  # not a short cut across a corner
-                errors.append(np.array([turn, rho - d]) @ np.linalg.solve(cov, [turn, rho - d]))
-    assert len(errors) > 350
-    assert np.mean(errors) == pytest.approx(2.0, abs=0.4)
 
 
 def test_the_papers_constant_covariance_grows_with_range_as_well():

@@ -2,6 +2,7 @@
 
 import copy
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,7 +16,7 @@ from mecp_env.slam.grid.canvas import find_pockets
 from mecp_env.slam.grid.cells import looks_through, split_outline
 from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor, wall_strips
 from mecp_env.slam.grid.layers import without
-from mecp_env.slam.messages import Cell
+from mecp_env.slam.messages import Cell, RoomGraph, SemanticGrid
 from tests.slam import make
 from tests.toy import LANDMARKS, Toy, free_iou, labels_at, layer_at, look
 
@@ -29,6 +30,12 @@ def drive(toy: Toy, places: list[tuple[float, float]] = TOUR) -> Toy:
         toy.T_world_robot = np.array([x, y, 0.7 * step])
         toy.last = toy.output()
     return toy
+
+
+def paint(toy: Toy, graph: RoomGraph, polygons: Any = ()) -> SemanticGrid:
+    """The grid after a scan at the place of the robot, with other rooms than those of the toy."""
+    belief = toy.belief()
+    return toy.painter.paint(belief, *look(toy.T_world_robot), belief.ids, polygons, graph)
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +63,7 @@ def test_a_door_is_open_until_a_scan_shows_the_wall_in_it() -> None:
     true, labels = toy.graph().doors[0], []
     doors = (true, replace(true, id=1, jambs=(5, 2), other_face=None))  # the second one is the wall beside the first
     for _ in range(3):
-        beams, segments = look(toy.T_world_robot)
-        grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), make.graph(doors=doors))
+        grid = paint(toy, make.graph(doors=doors))
         labels.append(labels_at(grid, np.array([[6.06, 1.95], [6.06, 3.2]])).tolist())
     assert labels == [[Cell.DOOR, Cell.DOOR]] + [[Cell.DOOR, Cell.OCCUPIED]] * 2
 
@@ -73,38 +79,28 @@ def test_rooms_end_at_the_door(tour: Toy) -> None:
 
 def test_a_door_found_late_takes_the_room_off_what_was_seen_through_it() -> None:
     toy = Toy(np.array([2.0, 1.95, 0.0]))
-    beams, segments = look(toy.T_world_robot)
-    nothing = make.graph()
     behind, before = np.array([[8.0, 1.95]]), np.array([[5.0, 1.95]])
-    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), nothing)
+    grid = paint(toy, make.graph())
     assert layer_at(grid, grid.room, behind) == [0]
-    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), toy.graph())
+    grid = paint(toy, toy.graph())
     assert layer_at(grid, grid.room, behind) == [-1]
     assert layer_at(grid, grid.room, before) == [0]
 
 
 def test_merged_rooms_get_one_name(tour: Toy) -> None:
     toy = copy.deepcopy(tour)
-    beams, segments = look(toy.T_world_robot)
-    merged = make.graph(doors=toy.graph().doors, merged={1: 0})
-    grid = toy.painter.paint(toy.belief(), beams, segments, np.arange(12), (), merged)
+    grid = paint(toy, make.graph(doors=toy.graph().doors, merged={1: 0}))
     assert set(np.unique(grid.room)) == {-1, 0}
 
 
 def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
-    one = make.graph()
     for x in (1.0, 3.0, 8.0, 9.0):
         toy.T_world_robot = np.array([x, 2.0, 0.0])
-        toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), one)
-    graph = make.graph(1, (0, 1), doors=toy.graph().doors, parted={1: (0, 3)})
-    grid = toy.painter.paint(toy.belief(), *look(toy.T_world_robot), np.arange(12), (), graph)
-    assert layer_at(grid, grid.room, np.array([[1.0, 1.0], [3.0, 3.0], [7.5, 1.0], [9.0, 3.0]])).tolist() == [
-        0,
-        0,
-        1,
-        1,
-    ]
+        paint(toy, make.graph())
+    grid = paint(toy, make.graph(1, (0, 1), doors=toy.graph().doors, parted={1: (0, 3)}))
+    places = np.array([[1.0, 1.0], [3.0, 3.0], [7.5, 1.0], [9.0, 3.0]])
+    assert layer_at(grid, grid.room, places).tolist() == [0, 0, 1, 1]
 
 
 def test_polygons_cover_their_interior_and_bring_their_room() -> None:
@@ -122,12 +118,9 @@ def test_a_polygon_waits_for_its_landmarks() -> None:
     all_landmarks, toy.p_map = toy.p_map, toy.p_map[:2]
     toy.confirmed = False
     toy.add_polygon([0, 1, 2, 3], 0)
-    beams, segments = look(toy.T_world_robot)
-    graph = make.graph()
-    known = tuple(toy.polygons)
-    assert not toy.painter.paint(toy.belief(), beams, segments, np.arange(2), known, graph).polygon.any()
+    assert not paint(toy, make.graph(), tuple(toy.polygons)).polygon.any()
     toy.p_map = all_landmarks
-    assert toy.painter.paint(toy.belief(), beams, segments, np.arange(12), known, graph).polygon.any()
+    assert paint(toy, make.graph(), tuple(toy.polygons)).polygon.any()
 
 
 def test_a_loop_closure_redraws_the_map() -> None:

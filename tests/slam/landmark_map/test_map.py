@@ -2,13 +2,14 @@
 
 import math
 from dataclasses import replace
+from itertools import compress
 
 import numpy as np
 import pytest
 
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig, TrackConfig
-from mecp_env.slam.landmark_map import MapPolygonStore
+from mecp_env.slam.landmark_map import MapPolygonStore, are_whole, groups_of, link, without_doubles
 from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, whole_bodies, without_dynamic
 from mecp_env.slam.landmark_map.tracks import (
     PruneLimits,
@@ -243,9 +244,9 @@ def belief(*p_map, sigma=0.01):
     return make.belief(p_map=p_map, covs=1e-6, pose_cov=np.diag([sigma**2 / 2, sigma**2 / 2, 1e-8]))
 
 
-def judged(faces, landmark, normals, scans=6, seen_in=()):
+def judged(faces, landmark, normals, scans=6, seen_in=(), sigma=0.01):
     """The step in which the landmark is pruned, or None."""
-    table, where = make.features(1, normals=normals), belief(landmark)
+    table, where = make.features(1, normals=normals), belief(landmark, sigma=sigma)
     for step in range(1, scans + 1):
         beams, _, segments, _ = front_end(take_scan(faces, seed=step))
         if step in seen_in:
@@ -296,6 +297,7 @@ def test_no_wall_is_painted_and_no_corner_taken_where_a_dynamic_object_is():
     [
         (ROOM, IN_THE_ROOM, WEST, {}, True),  # beams pass well beyond it
         (ROOM, IN_THE_ROOM, WEST, {"seen_in": (3, 6)}, False),
+        (ROOM, IN_THE_ROOM, WEST, {"sigma": 1.0}, False),  # the pose is too uncertain
         (np.concatenate([ROOM, disc(1.0, 0.33)]), IN_THE_ROOM, WEST, {}, False),  # it is hidden
         (ROOM, (4.0, 0.5), (math.pi, -math.pi / 2.0), {}, True),  # at a wall that is seen whole
         (ROOM, (4.04, 0.5), (0.0, -math.pi / 2.0), {"scans": 30}, False),  # on the other side of it
@@ -354,8 +356,32 @@ def test_the_rim_of_a_body_is_dynamic_with_its_middle():
     assert (whole_bodies(ranges, bearings, hit, middle, CONFIG.record) == (ranges == 2.0)).all()
 
 
-def test_no_landmark_is_forgotten_where_the_pose_is_too_uncertain():
-    table, where = make.features(1, normals=(math.pi, np.nan)), belief((1.5, 0.5), sigma=1.0)
-    for step in range(1, LIMITS.scans + 3):
-        beams, _, segments, _ = front_end(take_scan(ROOM, seed=step))
-        assert not len(find_pruned(beams, segments, where, table, step, LIMITS))
+def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
+    ids, rows = np.array([8, 3, 5, -1, 3]), make.features(9, room=[0, 0, 0, 1, 0, 1, 0, 0, 1]).rows
+    intervals = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.5, 0.0], [1.0, 0.5, 1.0, 2.0], [2.0, 0.0, 1.0, 1.0]])
+
+    def linked(corners, current):
+        ring, rolled = np.empty(len(corners), np.int64), np.empty_like(intervals)
+        sound = link(np.array(corners), ids, rows, current, ring, intervals, rolled)
+        return (ring.tolist(), rolled[:, 0].tolist()) if sound else None
+
+    assert linked([0, 1, 2], 1) == ([3, 5, 8], [0.0, 0.0, 1.0, 2.0])
+    assert linked([0, 1, 2], 0) is None  # another room
+    assert linked([0, 1, 3], 1) is None  # a corner without an id
+    assert linked([1, 2, 4], 1) is None  # one feature twice
+
+
+def test_whole_polygons_are_found_as_vertex_by_vertex():
+    rng = np.random.default_rng(3)
+    state, room = rng.integers(1, 4, 40), rng.integers(0, 2, 40)
+    rings = [rng.choice(40, rng.integers(1, 5)).tolist() for _ in range(300)]
+    now = dict(enumerate(rng.integers(0, 2, len(rings)).tolist()))
+    dead = int(FeatureState.DEAD)
+    wanted = [ring for i, ring in enumerate(rings) if all(state[v] != dead and room[v] == now[i] for v in ring)]
+    polygons = [make.map_polygon(ring, number) for number, ring in enumerate(rings)]  # whose room is their number
+    rooms, features = np.array(list(now.values())), make.features(40, state=state, room=room)
+    kept = list(compress(polygons, are_whole(groups_of(polygons), rooms, features)))
+    assert [polygon.ids.tolist() for polygon in kept] == wanted
+    assert 10 < len(wanted) < 290
+    last = {tuple(polygon.ids.tolist()): polygon for polygon in kept}
+    assert without_doubles(kept) == [last[ring] for ring in last if len(set(ring)) == len(ring)]

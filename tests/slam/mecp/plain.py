@@ -1,4 +1,4 @@
-"""Plain twins of the polygon search: all rings by definition, and a recursion for more sites than that can do."""
+"""The plain twin of the polygon search: all rings by definition."""
 
 import itertools
 import math
@@ -6,8 +6,6 @@ import math
 import numpy as np
 
 from mecp_env.slam.mecp.cycles import order_by_bearing
-
-PER_VERTEX = 1e6  # of what is as large as possible: more than any area here, so that vertices decide
 
 
 def cross(a, b):
@@ -72,34 +70,3 @@ def allowed_rings(points, tolerance):
             is_strict(points, *corner, tolerance) for corner in zip(before, ring, after, strict=True)
         ):
             yield ring
-
-
-def twin(points, allowed, tolerance, per_vertex):
-    """The most of twice the area and `per_vertex`, by the recursion over pairs: for each first edge, across any ray."""
-    n, best = len(points), 0.0
-    worth = per_vertex + np.array([[cross(a, b) for b in points] for a in points])
-    for head, second in np.argwhere(allowed):
-        order = sorted(range(n), key=lambda k: angle_from(points[head], points[k]))
-        place = {k: i for i, k in enumerate(order)}
-        most = {(head, second): worth[head, second]}
-        for b in order[place[second] :]:
-            into = [(a, area) for (a, to), area in most.items() if to == b]
-            for a, area in into:
-                closes = allowed[b, head] and is_strict(points, a, b, head, tolerance)
-                if closes and is_strict(points, b, head, second, tolerance):
-                    best = max(best, area + worth[b, head])
-                for c in order[place[b] + 1 :]:
-                    if allowed[b, c] and is_strict(points, a, b, c, tolerance):
-                        most[b, c] = max(most.get((b, c), 0.0), area + worth[b, c])
-    return best
-
-
-def angle_from(a, b):
-    """Bearing of b about the origin, from that of a, in [0, 2 pi)."""
-    return math.atan2(cross(a, b), a[0] * b[0] + a[1] * b[1]) % (2 * math.pi)
-
-
-def worth_of(points, found, per_vertex):
-    """What `twin` finds the most of, of the first of the cycles found."""
-    ring = tuple(found[1][0][: found[0][0]])
-    return per_vertex * len(ring) + twice_area(points, ring) if ring else 0.0

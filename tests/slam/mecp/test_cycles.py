@@ -15,14 +15,11 @@ from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
 from tests.slam.make import MIDDLES
 from tests.slam.mecp.plain import (
-    PER_VERTEX,
     allowed_rings,
     cross,
     plain_visible_edges,
     random_sites,
     twice_area,
-    twin,
-    worth_of,
 )
 
 LIMITS = PolygonConfig().record[0]
@@ -65,18 +62,6 @@ def test_best_cycles_are_the_best_by_definition(tolerance, keep):
         np.testing.assert_allclose(areas, [twice_area(points, ring) for ring in expected])
         if tolerance:  # no ties of area
             assert [tuple(r[:s]) for r, s in zip(rings, sizes, strict=True) if s] == expected
-
-
-@pytest.mark.parametrize(("search", "per_vertex"), [(best_cycles, PER_VERTEX), (largest_cycle, 0.0)])
-def test_more_sites_than_brute_force_can_do_agree_with_the_twin(search, per_vertex):
-    rng = np.random.default_rng(5)
-    for n, _ in itertools.product((10, 14, 20), range(6)):
-        points = random_sites(rng, n, 0.1)
-        allowed = visible_edges(points, 0.02)
-        found = search(points, allowed, 0.02, 1) if search is best_cycles else search(points, allowed, 0.02)
-        assert worth_of(points, found, per_vertex) == pytest.approx(
-            twin(points, allowed, 0.02, per_vertex), rel=0.0, abs=1e-6
-        )
 
 
 def edge_of(a, b, tolerance, beams):
@@ -198,15 +183,16 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds(by_area)
 @pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
 def test_the_largest_cycle_is_the_largest_by_definition(tolerance):
     rng, differs = np.random.default_rng(3), 0
-    for _ in range(150):
-        points = random_sites(rng, rng.integers(0, 9), tolerance)
+    for n in (*rng.integers(0, 9, 150), 11, 12):
+        points = random_sites(rng, n, tolerance)
         allowed = visible_edges(points, tolerance)
         sizes, rings = largest_cycle(points, allowed, tolerance)
         expected = sorted(((twice_area(points, ring), ring) for ring in allowed_rings(points, tolerance)), reverse=True)
-        assert (sizes[0] > 0) == bool(expected)
-        assert worth_of(points, (sizes, rings), 0.0) == pytest.approx(expected[0][0] if expected else 0.0)
+        found = tuple(rings[0][: sizes[0]])
+        assert bool(found) == bool(expected)
+        assert twice_area(points, found) == pytest.approx(expected[0][0] if expected else 0.0)
         if tolerance and expected:  # no ties of area
-            assert tuple(rings[0][: sizes[0]]) == expected[0][1]
+            assert found == expected[0][1]
             differs += sizes[0] < best_cycles(points, allowed, tolerance, 1)[0][0]
     assert not tolerance or differs > 5
 

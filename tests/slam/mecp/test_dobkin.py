@@ -5,8 +5,6 @@ import itertools
 import numpy as np
 import pytest
 
-from benchmarks.polygon_speed import scans_of
-from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
@@ -78,22 +76,3 @@ def test_in_a_rectangle_both_searches_find_the_room():
     )
     np.testing.assert_array_equal(dobkin.corners, mecp.corners)
     np.testing.assert_allclose(dobkin.intervals, mecp.intervals)
-
-
-def test_in_scans_the_rule_loses_polygons_and_invents_none():
-    lost = 0
-    for corners, beams, wall in scans_of("furnished", 40):
-        mecp, dobkin = (
-            find_structure(corners, beams, PAPER.model_copy(update={"structure": name}), wall)
-            for name in ("mecp", "dobkin")
-        )
-        sizes = {len(polygon.corners) for polygon in dobkin}
-        most = max((len(polygon.corners) for polygon in mecp), default=0)
-        assert max(sizes, default=0) <= most
-        assert len(sizes) <= 1
-        assert len(dobkin) <= PAPER.keep_ties
-        lost += max(sizes, default=0) < most
-        for polygon in dobkin:
-            assert twice_area(polar_to_points(corners.z), tuple(polygon.corners)) > 0.0
-            assert corners.sites[polygon.corners].all()
-    assert lost > 10

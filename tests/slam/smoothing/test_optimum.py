@@ -12,7 +12,7 @@ from mecp_env.slam.smoothing.optimum import Links, PoseGraph, Sightings, Smoothi
 from tests.slam import make
 from tests.slam.smoothing.make import drive, error_m
 
-SEEDS = range(6)
+SEEDS = range(4)
 
 
 def moved(graph: PoseGraph, numbers: Array) -> PoseGraph:
