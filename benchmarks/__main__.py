@@ -35,6 +35,7 @@ from benchmarks.trees import TreeError
 from mecp_env.cli.base import check_json
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.interrupts import INTERRUPTED
+from mecp_env.core.provenance import import_modules
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
@@ -78,6 +79,10 @@ def main(arguments: list[str] | None = None) -> int:
     options = options_of(given, module)
     if given.name == "speed" and given.against:
         module = importlib.import_module("benchmarks.against")
+    try:
+        import_modules(given.modules)
+    except ConfigError as error:
+        parser().error(str(error))
     try:
         content = measure(given.name, module, options)
     except OptionError as error:

@@ -25,9 +25,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks import loop
-from benchmarks.common import Figures, Gate, Options, estimate, load_modules, runs_of, share
+from benchmarks.common import Figures, Gate, Options, estimate, share
 from benchmarks.drives import Drive, Replay
-from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_drives, place
 from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Bools, Ints
@@ -43,8 +43,7 @@ ASSUMED: dict[str, Any] = {  # the other reading of IV
     "laser": {"preset": "ideal"},
     "slam": {"sensor": {"range_sigma_m": 0.05, "bearing_sigma_deg": 0.3}},
 }
-SEEDS = {"paper": 60, IDEAL: 15, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
-SETS, MOST = tuple(SEEDS), 1000
+SETS = {"paper": 60, IDEAL: 15, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
 
 GATES = (
@@ -71,8 +70,7 @@ class Pairs:
 
 def run(options: Options) -> Figures:
     """Results of every layout and associator."""
-    load_modules(options.modules)
-    runs = on_records(compare, dict[str, Figures], runs_of(options, SEEDS, MOST, 2), options)
+    runs = on_drives(compare, dict[str, Figures], SETS, options)
     return {layout: of_layout(by_row(drives)) for layout, drives in runs.items()}
 
 

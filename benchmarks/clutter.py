@@ -24,7 +24,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, runs_of
 from benchmarks.plots import Panel, draw_bands
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.tables import by_row, sections, table
@@ -38,8 +38,7 @@ from mecp_env.slam.rooms import RoomGraphEstimator
 
 DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent
 CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 20), (0.8, 30))
-DRIVES = {"paper": 20, HARD: 4}
-SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
+SETS = {"paper": 20, HARD: 4}
 CLEAR_M = 0.5
 TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
 METRICS = ("precision", "recall", "rmse_m", "lost", "associate_ms")
@@ -55,11 +54,8 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every layout, cell and associator."""
-    load_modules(options.modules)
     drives = [
-        (layout, detection, spurious, seed)
-        for layout, seed in runs_of(options, DRIVES, MOST, QUICK_DRIVES)
-        for detection, spurious in CELLS
+        (layout, detection, spurious, seed) for layout, seed in runs_of(options, SETS) for detection, spurious in CELLS
     ]
     figures: Figures = {}
     for (layout, *cell), runs in on_records(compare, dict[str, Figures], drives, options).items():

@@ -26,11 +26,11 @@ from scipy.stats import chi2
 
 from benchmarks import loop
 from benchmarks.batch import Optimum, optimum
-from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, ratio
 from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
 from benchmarks.known_pairs import Sighting, filtered, in_order, measured
 from benchmarks.plots import DASHES, GREYS
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
+from benchmarks.records import IN_MEMORY, Course, Records, on_drives
 from benchmarks.tables import by_row, columns_of, means, sections, table_of
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import wrap_angle
@@ -48,8 +48,7 @@ MODELS: dict[str, dict[str, Any]] = {  # fields of the odometry
     "skid_steer": {"preset": "skid_steer"},
 }
 SLIPS = ("skid_steer",)
-DRIVES = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
-SETS, MOST, QUICK_DRIVES = tuple(MODELS), 1000, 2
+SETS = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
 OVER_TIME, COMPARED = "nees_over_time", ("nees", "landmark_nees", "landmark_rms_m")  # to BASE
 BATCH, BASE, ALL = "batch", "riekf", "riekf, all iterated"
 SUBMAP, MOMENTS = 10, 40  # of a drive, for NEES over time
@@ -64,10 +63,7 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every model and filter. Raises `OptionError` without GTSAM."""
-    load_modules(options.modules)
-    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
-    drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each model
-    runs = on_records(compare, dict[str, Figures], drives, options)
+    runs = on_drives(compare, dict[str, Figures], SETS, options)
     return {model: of_model(by_row(drives)) for model, drives in runs.items()}
 
 

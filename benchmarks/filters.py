@@ -12,7 +12,7 @@ from itertools import chain
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
 from benchmarks.tables import table_of
 from mecp_env.core.carriers import Array
@@ -38,7 +38,6 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Times of all filters, and their NEES and error for every reading of the paper's odometry noise."""
-    load_modules(options.modules)
     runs = 8 if options.quick else 60
     cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
     nees: Figures = {reading: {} for reading in READINGS}

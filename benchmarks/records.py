@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Options, grouped, in_parallel, shared_data
+from benchmarks.common import Options, grouped, in_parallel, runs_of, shared_data
 from benchmarks.drives import Drive, record_drive
 from mecp_env import __version__
 from mecp_env.core.errors import MecpError
@@ -125,6 +125,11 @@ def place(layout: str, number: int) -> str:
 def on_records(task: Callable[..., Any], kind: Any, units: Sequence[Any], options: Options) -> dict[Any, list[Any]]:
     """The results of `task` for each unit, on the records of a run, grouped by all but the number of their unit."""
     return grouped(units, in_parallel(partial(task, records=Records(options.records)), kind, units, options))
+
+
+def on_drives(task: Callable[..., Any], kind: Any, sets: Mapping[str, int], options: Options) -> dict[str, list[Any]]:
+    """The results of `task` for each drive of the sets: a part of the time gives a part of each set."""
+    return on_records(task, kind, sorted(runs_of(options, sets), key=lambda drive: drive[1]), options)
 
 
 def save_record(path: Path, header: Header, arrays: Arrays) -> None:

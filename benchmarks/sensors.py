@@ -15,9 +15,9 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.common import Figures, Gate, Options, runs_of, share
+from benchmarks.common import Figures, Gate, Options, share
 from benchmarks.drives import replay
-from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_drives, place
 from benchmarks.tables import columns_of, means, precision_and_recall, table_of
 from mecp_env.slam.config import chi2_of_point
 
@@ -35,8 +35,7 @@ ROWS: dict[str, dict[str, Any]] = {  # name -> fields of the environment
     **{name: {"laser": {"preset": name}} for name in ("ideal", "utm30lx", "lms200", "rplidar_a1", "urg04lx")},
 }
 ELLIPSE = chi2_of_point(0.9)
-DRIVES = dict.fromkeys(ROWS, 16)
-SETS, MOST, QUICK_DRIVES = tuple(ROWS), 1000, 2
+SETS = dict.fromkeys(ROWS, 16)
 MEANS = ("nees", "landmark_nees", "pair_nees", "in_ellipse", "rmse_m")
 
 GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
@@ -44,10 +43,7 @@ GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
 
 def run(options: Options) -> Figures:
     """Results of every sensor."""
-    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
-    by_seed = sorted(drives, key=lambda drive: drive[1])  # a part of the time gives a part of each sensor
-    runs = on_records(counted, Figures, by_seed, options)
-    return {name: summarise(runs[name]) for name in dict(drives)}
+    return {name: summarise(runs) for name, runs in on_drives(counted, Figures, SETS, options).items()}
 
 
 def course(name: str, seed: int) -> Course:

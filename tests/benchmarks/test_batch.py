@@ -172,7 +172,7 @@ def test_victoria_park_as_it_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(consistency, "LAYOUT", "two_rooms")
-    monkeypatch.setattr(consistency, "DRIVES", {"per_metre": 2, "skid_steer": 1})
+    monkeypatch.setattr(consistency, "SETS", {"per_metre": 2, "skid_steer": 1})
 
 
 @needs_gtsam

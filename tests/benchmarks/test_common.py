@@ -184,6 +184,7 @@ def test_the_command_writes_figures_and_page_and_gates_against_them(
         ("noise --buildings 3", "--buildings: noise does not have it; returns, uncertainty do"),
         ("speed --records x", "--records: speed does not have it; ablation"),
         (f"loop --records {__file__}", "is a file, not a folder"),
+        ("clutter --with no_such_module", "--with no_such_module"),
         ("record --sets speed", "expected one of association, association_time, clutter"),
         ("soak --cluster 127.0.0.1:1", "--cluster: soak does not have it; ablation"),
         ("loop --cluster 127.0.0.1:1 --jobs 2", "--jobs 2: with --cluster"),

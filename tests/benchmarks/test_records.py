@@ -184,9 +184,9 @@ def test_the_command_record_makes_each_drive_once_in_shards_or_whole(
 
 def test_every_experiment_on_drives_can_be_recorded() -> None:
     numbers = {name: len(of(record.ALL)) for name, of in record.COURSES.items()}
-    assert numbers["association"] == sum(association.SEEDS.values())
-    assert numbers["kidnap"] == 2 * sum(kidnap.SEEDS.values())
-    assert numbers["noise"] == len(noise.RECORDED) * noise.DRIVES[noise.BASE]
+    assert numbers["association"] == sum(association.SETS.values())
+    assert numbers["kidnap"] == 2 * sum(kidnap.SETS.values())
+    assert numbers["noise"] == len(noise.RECORDED) * noise.SETS[noise.BASE]
     assert set(record.COURSES) < set(command.ON_RECORDS)
     shared = {course.file for course in record.COURSES["loop"](record.ALL)}
     assert {course.file for course in record.COURSES["clutter"](record.ALL)} <= shared
