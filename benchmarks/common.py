@@ -109,8 +109,9 @@ def in_parallel(
 ) -> list[Any]:
     """The result of `task`, of the type `kind`, for each unit in order.
 
-    Units are tuples of words and numbers, or have names. Results are kept in `options.folder`, so that the same command continues after a kill. Raises `ShardDone` after a
-    part of the units, and the error of a unit that failed after all others are finished.
+    Units are tuples of words and numbers, or have names. Results are kept in `options.folder`, so that the same command
+    continues after a kill. Raises `ShardDone` after a part of the units, and the error of a unit that failed after all
+    others are finished.
     """
     kept = KeptResults(options.folder, kind, run_key(options))
     all_units = units if isinstance(units, Mapping) else {" ".join(map(str, unit)): unit for unit in units}

@@ -31,7 +31,7 @@ from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
 from benchmarks.known_pairs import Sighting, filtered, in_order, measured
 from benchmarks.plots import DASHES, GREYS
 from benchmarks.records import IN_MEMORY, Course, Records, on_drives
-from benchmarks.tables import by_row, columns_of, means, sections, table_of
+from benchmarks.tables import columns_of, means, sections, table_of
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.core.sensors import Odometry
@@ -63,13 +63,10 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every model and filter. Raises `OptionError` without GTSAM."""
-    runs = on_drives(compare, dict[str, Figures], SETS, options)
-    return {model: of_model(by_row(drives)) for model, drives in runs.items()}
-
-
-def of_model(rows: dict[str, list[Figures]]) -> Figures:
-    """Results of every filter, and of the batch optimum."""
-    return {name: summarise(own, rows[BATCH], rows[BASE]) for name, own in rows.items()}
+    return {
+        model: {name: summarise(own, rows[BATCH], rows[BASE]) for name, own in rows.items()}
+        for model, rows in on_drives(compare, SETS, options).items()
+    }
 
 
 def course(model: str, seed: int) -> Course:
@@ -151,18 +148,16 @@ def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
 
 def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> Figures:
     """Results of one filter over all drives with a model, each with its 95 % interval."""
-    of, of_best, of_base = (columns_of([numbers(one) for one in rows]) for rows in (own, best, base))
+    of, of_best, of_base = (
+        columns_of([{name: value for name, value in one.items() if name != OVER_TIME} for one in rows])
+        for rows in (own, best, base)
+    )
     figures: Figures = {**means(of, *of), "over_batch": ratio(of["landmark_rms_m"], of_best["landmark_rms_m"])}
     if own is not best:
         over_time = np.array([one[OVER_TIME] for one in own])
         figures[OVER_TIME] = {str(k): estimate(column) for k, column in enumerate(over_time.T)}
         figures |= {f"{name}_minus_{BASE}": estimate(of[name] - of_base[name]) for name in COMPARED}
     return figures
-
-
-def numbers(counts: Figures) -> dict[str, float]:
-    """The counts of a drive without those over time."""
-    return {name: value for name, value in counts.items() if name != OVER_TIME}
 
 
 def band(runs: int, dimensions: int = 3) -> tuple[float, float]:

@@ -24,6 +24,7 @@ BEAMS = 720
 PATH, KIND, ROOM, LEVEL, VALID = 2, 4, 5, 6, 8  # columns of the observation's goals
 DOOR = 3  # kind of a goal
 STEPS_OF_START = 30
+EPISODE = 10  # blocks; an episode may end earlier by itself
 
 
 class Compilations(event.Listener):  # type: ignore[misc]
@@ -44,22 +45,25 @@ class BlockDriver:
     def __init__(self, actions: str, sweeps: int) -> None:
         kind = {"random": "velocity", "breadth_first": "goal"}[actions]
         self.env = gymnasium.make("mecp_env/PaperMap-v0", actions=kind, laser={"sweeps": sweeps, "beams": BEAMS})
-        self.actions = actions
+        self.actions, self.blocks, self.over = actions, 0, True
         self.compilations = Compilations()
         event.register("numba:compiler_lock", self.compilations)
 
-    def reset(self, seed: int) -> dict[str, Any]:
+    def reset(self, seed: int) -> None:
         """Start the episode of a seed."""
         self.observation, info = self.env.reset(seed=seed)
         self.count, self.over = control_steps(info), False
         self.commands = random_commands(seed)
-        return {}
 
     def drive(self, steps: int) -> dict[str, Any]:
         """Drive on for at least so many control steps: how many, in how many CPU seconds, and with what result.
 
-        `compiled` is true where a function was compiled or loaded on the way.
+        A new episode starts where the last one ended, and after ten blocks. `compiled` is true where a function was
+        compiled or loaded on the way.
         """
+        if self.over or self.blocks % EPISODE == 0:
+            self.reset(self.blocks)
+        self.blocks += 1
         self.compilations.noted = False
         first, seconds = self.count, 0.0
         while self.count < first + steps and not self.over:
@@ -72,7 +76,6 @@ class BlockDriver:
         return {
             "steps": self.count - first,
             "seconds": seconds,
-            "over": self.over,
             "compiled": self.compilations.noted,
             "digest": digest.hexdigest(),
         }

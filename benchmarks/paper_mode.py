@@ -15,7 +15,7 @@ from benchmarks import association
 from benchmarks.association import IDEAL
 from benchmarks.common import Figures, Gate, Options
 from benchmarks.records import IN_MEMORY, Records, on_drives
-from benchmarks.tables import by_row, columns_of, ratios, sections, table_of
+from benchmarks.tables import columns_of, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
 SETS = {"paper": 60, IDEAL: 15}
@@ -44,8 +44,8 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of both readings and every row."""
-    runs = on_drives(measure, dict[str, Figures], SETS, options)
-    return {layout: {name: summary(own) for name, own in by_row(of).items()} for layout, of in runs.items()}
+    runs = on_drives(measure, SETS, options)
+    return {layout: {name: summary(own) for name, own in rows.items()} for layout, rows in runs.items()}
 
 
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:

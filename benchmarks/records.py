@@ -21,8 +21,9 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Options, grouped, in_parallel, runs_of, shared_data
+from benchmarks.common import Figures, Options, grouped, in_parallel, runs_of, shared_data
 from benchmarks.drives import Drive, record_drive
+from benchmarks.tables import by_row
 from mecp_env import __version__
 from mecp_env.core.errors import MecpError
 from mecp_env.core.files import read_bytes, write_atomic
@@ -127,9 +128,12 @@ def on_records(task: Callable[..., Any], kind: Any, units: Sequence[Any], option
     return grouped(units, in_parallel(partial(task, records=Records(options.records)), kind, units, options))
 
 
-def on_drives(task: Callable[..., Any], kind: Any, sets: Mapping[str, int], options: Options) -> dict[str, list[Any]]:
-    """The results of `task` for each drive of the sets: a part of the time gives a part of each set."""
-    return on_records(task, kind, sorted(runs_of(options, sets), key=lambda drive: drive[1]), options)
+def on_drives(
+    task: Callable[..., dict[str, Figures]], sets: Mapping[str, int], options: Options
+) -> dict[str, dict[str, list[Figures]]]:
+    """By set and row, what `task` gives for each drive: figures by row. A part of the time gives a part of each set."""
+    drives = sorted(runs_of(options, sets), key=lambda drive: drive[1])
+    return {name: by_row(runs) for name, runs in on_records(task, dict[str, Figures], drives, options).items()}
 
 
 def save_record(path: Path, header: Header, arrays: Arrays) -> None:

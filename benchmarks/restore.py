@@ -23,6 +23,7 @@ import numpy as np
 import mecp_env
 from benchmarks import restore_logs
 from benchmarks.common import Figures, Gate, Options, in_parallel
+from benchmarks.random_actions import goal, velocity
 from benchmarks.restore_logs import described, restored, same
 from benchmarks.tables import listed, table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
@@ -151,13 +152,10 @@ def drive(env: Any, rng: np.random.Generator, steps: int) -> bool:
 
 
 def action_of(env: Any, rng: np.random.Generator) -> Any:
-    """A goal that may be chosen, or a velocity."""
+    """A random action, among the goals one that may be chosen."""
     if env.unwrapped.config.actions == "discrete":
         return int(rng.integers(env.action_space.n))
-    if env.unwrapped.config.actions == "velocity":
-        return rng.uniform([0.0, -1.0], [1.0, 1.0]).astype(np.float32)
-    goals = np.flatnonzero(env.get_wrapper_attr("action_masks")())
-    return int(rng.choice(goals)) if len(goals) else 0
+    return (goal if env.unwrapped.config.actions == "goal" else velocity)(env, rng)
 
 
 def after_fault(env: Any, other: Any, rng: np.random.Generator, going: bool) -> str:
