@@ -17,7 +17,6 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -155,18 +154,13 @@ def report(figures: Figures) -> str:
     """Per layout a table of each metric, with a row per associator and a column per cell."""
     parts = {}
     for layout, cells in figures.items():
-        methods, tables = list(dict.fromkeys(chain.from_iterable(cells.values()))), []
+        first, tables = next(iter(cells.values())), []
         columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
         for metric in METRICS:
-            rows = [[name, *(of.get(name, {}).get(metric, "-") for of in cells.values())] for name in methods]
+            rows = [[name, *(of[name][metric] for of in cells.values())] for name in first]
             tables.append(table([f"`{metric}`: detection, spurious", *columns], rows))
-        parts[f"{layout} ({_drives(cells)} drives)"] = "\n\n".join(tables)
+        parts[f"{layout} ({next(iter(first.values()))['rmse_m']['n']} drives)"] = "\n\n".join(tables)
     return sections(parts)
-
-
-def _drives(cells: Figures) -> int:
-    """The most drives of a cell."""
-    return max((row["rmse_m"]["n"] for of in cells.values() for row in of.values()), default=0)
 
 
 def figure(figures: Figures) -> Figure:

@@ -83,20 +83,15 @@ def filtered(record: Record, estimate: Filter, correct: Correct) -> Iterator[Bel
     estimate.set_pose(record.start, record.start_cov)
     for motion, sighting in zip([None, *record.motions], record.sightings, strict=True):
         if motion is not None:
-            advance(estimate, motion)
+            estimate.predict(motion.odometry)
+        if motion is not None and motion.lacking is not None:
+            estimate.loosen(turned(motion.lacking, estimate.belief().T_map_robot[2]))
         known = np.isin(sighting.ids, estimate.ids)
         if known.any():
             correct(estimate, sighting.part(known), motion.odometry if motion else None)
         new = sighting.part(~known)
         estimate.augment(new.z, new.R, new.ids)
         yield estimate.belief()
-
-
-def advance(estimate: Filter, motion: Motion) -> None:
-    """Predict, and add the noise that the odometry lacks."""
-    estimate.predict(motion.odometry)
-    if motion.lacking is not None:
-        estimate.loosen(turned(motion.lacking, estimate.belief().T_map_robot[2]))
 
 
 def in_order(estimate: Filter) -> tuple[Array, Array]:

@@ -115,13 +115,9 @@ def text_file(name: str, text: Callable[[], str]) -> Callable[[Path], Path]:
 
 def csv() -> str:
     """The drive as a table."""
-    t, poses, ranges = drive()
-    head = ",".join(["t", "x", "y", "heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
-    rows = [
-        ",".join(f"{value:.4f}" for value in (stamp, *pose, *row))
-        for stamp, pose, row in zip(t, poses, ranges, strict=True)
-    ]
-    return "\n".join([head, *rows, ""])
+    text, head = io.StringIO(), ",".join(["t,x,y,heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
+    np.savetxt(text, np.column_stack(drive()), "%.4f", ",", header=head, comments="")
+    return text.getvalue()
 
 
 def dat() -> str:

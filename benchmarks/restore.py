@@ -98,20 +98,15 @@ def building_of(name: str, rng: np.random.Generator) -> dict[str, Any]:
     return {}
 
 
-def setting_of(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
-    """A random id with its keywords."""
-    name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
-    fields = one_of(CHOICES, rng) | {"slam": slam_of(rng), "max_steps": int(rng.integers(5, 300))}
-    return name, fields | building_of(name, rng)
-
-
 def failure_of(unit: tuple[int]) -> str:
     """What is wrong with the run of a number, empty when nothing is."""
     (number,) = unit
     rng = np.random.default_rng([39, number])
     if number % LOG_EVERY == LOG_EVERY - 1 and restore_logs.logs_at_hand():
         return restore_logs.failure_of(number, rng, slam_of(rng))
-    name, fields = setting_of(rng)
+    name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
+    fields = one_of(CHOICES, rng) | {"slam": slam_of(rng), "max_steps": int(rng.integers(5, 300))}
+    fields |= building_of(name, rng)
     steps, lost = int(rng.integers(0, 100)), bool(rng.random() < 0.2)
     what = f"{number}: {name} {fields} after {steps} steps{', lost' * lost}"
     return described(what, lambda: fault_of(*pair_of(name, fields), rng, steps, lost))

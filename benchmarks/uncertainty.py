@@ -12,6 +12,7 @@ full estimator, over the greedy one, `next_best_view`. An episode is lost as in 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from matplotlib.figure import Figure
@@ -67,17 +68,13 @@ def run(options: Options) -> Figures:
     policies = checked(options.policies or POLICIES)
     points = QUICK if options.quick and not options.sets else CHANGES
     counts = buildings_of(options, points, QUICK_BUILDINGS if options.quick else BUILDINGS)
+    setting = Setting("", "test", "slam", TASKS[task]["max_steps"], task)
     evaluations = {
-        point: Evaluation(policies, setting_of(task, point), buildings, known_correspondences=True)
+        point: Evaluation(policies, replace(setting, env=CHANGES[point]), buildings, known_correspondences=True)
         for point, buildings in counts.items()
     }
     of_points = {point: of_policies(rows) for point, rows in rows_of(evaluations, options).items()}
     return {"task": task, "range_m": range_of(task), "points": of_points}
-
-
-def setting_of(task: str, point: str) -> Setting:
-    """The task with what a point changes."""
-    return Setting("", "test", "slam", TASKS[task]["max_steps"], task, env=CHANGES[point])
 
 
 def range_of(task: str) -> float:

@@ -192,12 +192,12 @@ def report(figures: Figures) -> str:
     presets: dict[str, dict[str, Figures]] = {}
     for name, values in figures.items():
         presets.setdefault(SETTINGS[name][0], {})[name] = values
-    return sections({preset: table_of_preset(settings) for preset, settings in presets.items()})
-
-
-def table_of_preset(settings: dict[str, Figures]) -> str:
-    """The table of a preset."""
-    return turned(settings, [f"{title(name)} ({values['complete']['n']})" for name, values in settings.items()])
+    return sections(
+        {
+            preset: turned(settings, [f"{title(name)} ({of['complete']['n']})" for name, of in settings.items()])
+            for preset, settings in presets.items()
+        }
+    )
 
 
 def title(setting: str) -> str:
