@@ -41,7 +41,6 @@ def compare(trees: dict[str, Path], actions: str, sweeps: int, blocks: int) -> F
     with contextlib.ExitStack() as stack:
         workers = [stack.enter_context(tree_worker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
         for worker in workers:
-            worker.check_package()
             worker.call("drive", WARM_UP)
         for worker in workers:
             worker.call("pin", max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0)

@@ -162,7 +162,8 @@ def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> F
 
 def band(runs: int, dimensions: int = 3) -> tuple[float, float]:
     """The 95 % interval of the mean NEES of so many runs."""
-    return float(chi2.ppf(0.025, dimensions * runs)) / runs, float(chi2.ppf(0.975, dimensions * runs)) / runs
+    low, high = chi2.interval(0.95, dimensions * runs)
+    return float(low) / runs, float(high) / runs
 
 
 def report(figures: Figures) -> str:

@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -136,13 +137,14 @@ def answer_calls(driver: BlockDriver) -> None:
     """Read `[method, arguments...]` per line, answer with the result in one line, until the input ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the tree prints is no answer
-    print(json.dumps({"package": mecp_env.__file__}), file=answers, flush=True)
     for line in sys.stdin:
         method, *arguments = json.loads(line)
         print(json.dumps(getattr(driver, method)(*arguments)), file=answers, flush=True)
 
 
 if __name__ == "__main__":
+    if Path.cwd() not in Path(mecp_env.__file__).parents:
+        sys.exit(f"it imported {mecp_env.__file__}, not the package in {Path.cwd()}")
     if sys.argv[1] == "start":
         first_start()
     else:

@@ -16,7 +16,6 @@ from benchmarks import common
 from benchmarks.common import Gate, Options
 from benchmarks.pages import pages
 from mecp_env.core import intervals
-from mecp_env.core.work_units import Shard
 
 GATES = (
     Gate("scan/us", "time", 1.3),
@@ -100,14 +99,6 @@ def test_a_unit_that_fails_is_named_and_raised_when_the_others_are_finished(
         common.in_parallel(cube, float, [("cube", 7), *UNITS], Options(folder=tmp_path))
     assert "failed: ('cube', 7): TypeError: no cube of 7 (cube, line" in capsys.readouterr().err
     assert len(list(tmp_path.iterdir())) == len(UNITS)
-
-
-def test_a_run_continues_and_shards_add_up_to_it(tmp_path: Path) -> None:
-    for number in (1, 2):
-        with pytest.raises(common.ShardDone, match=f"{4 - number} units of shard {number}/2 are in"):
-            common.in_parallel(cube, float, UNITS, Options(folder=tmp_path, shard=Shard(number, 2)))
-    results = common.in_parallel(lambda unit: None, float, UNITS, Options(folder=tmp_path))  # all are there
-    assert results == [cube(unit) for unit in UNITS]
 
 
 @pytest.fixture

@@ -76,22 +76,17 @@ def test_sensors_and_buildings_of_every_kind_come_back(course: Course, tmp_path:
     assert results[0].log.rows[: results[0].log.used].tolist() == results[1].log.rows[: results[1].log.used].tolist()
 
 
-def packed(arrays: dict[str, Any]) -> bytes:
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays)
-    return buffer.getvalue()
-
-
 def remade(changes: dict[str, Any], **arrays: Any) -> Callable[[bytes], bytes]:
     """A record with other fields of its header and other arrays, or without those that are None."""
 
     def make(data: bytes) -> bytes:
         with np.load(io.BytesIO(data)) as archive:
             parts = {**archive}
-        header = json.loads(parts[HEADER].tobytes()) | changes
-        text = json.dumps({name: value for name, value in header.items() if value is not None})
+        text = json.dumps(json.loads(parts[HEADER].tobytes()) | changes)
         parts |= {HEADER: np.frombuffer(text.encode(), np.uint8), **arrays}
-        return packed({name: part for name, part in parts.items() if part is not None})
+        buffer = io.BytesIO()
+        np.savez(buffer, **{name: part for name, part in parts.items() if part is not None})
+        return buffer.getvalue()
 
     return make
 
@@ -101,14 +96,9 @@ def remade(changes: dict[str, Any], **arrays: Any) -> Callable[[bytes], bytes]:
     [
         (lambda data: data[:-500], "no mecp_env record, or cut short"),
         (lambda data: data[:4000] + b"\0" * 400 + data[4400:], "damaged"),
-        (lambda data: packed({"t": np.zeros(3)}), "damaged"),
-        (lambda data: b"PK\5\6" + bytes(18), "damaged"),
         (remade({"format": "mecp_env map"}), "format: 'mecp_env map', expected 'mecp_env record'"),
         (remade({"version": 2, "package": "0.9"}), r"version: 2 \(of mecp_env 0.9\), this .* reads version 1"),
-        (remade({"content": None}), "damaged"),
         (remade({"secret": 1}), "damaged: its content hash is that of another content"),
-        (remade({}, header=np.array(["x"], dtype=object)), "damaged"),
-        (remade({}, ranges=np.zeros((15, 4, 720))), "damaged: its content hash is that of another content"),
         (remade({}, hit=np.empty((15, 4, 720), object)), "damaged"),
         (remade({}, T_world_robot=None), "damaged"),
     ],
