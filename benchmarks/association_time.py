@@ -20,23 +20,13 @@ from functools import partial
 
 import numpy as np
 
+from benchmarks import rough_pose
 from benchmarks.clutter import independent
 from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import course
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import (
-    FIRST_SCAN,
-    RIGHT_PAIRS,
-    Finished,
-    Look,
-    finish,
-    front_end,
-    judged,
-    look,
-    named,
-    rough_view,
-)
+from benchmarks.rough_pose import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, named
 from benchmarks.tables import columns_of, ratios, sections, table
 from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
@@ -79,7 +69,7 @@ def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Sums:
     """Sums over the scans of the drive of one layout and seed, for each sigma and associator."""
     layout, count, seed = task
     drive = records.drive(course(layout, seed))
-    finished, rng = finish(drive), np.random.default_rng(seed)
+    finished, rng = rough_pose.finish(drive), np.random.default_rng(seed)
     looks, polygons_ms = cluttered_looks(drive, finished, count, rng)
     sums: Sums = {}
     for sigma_m, sigma_deg in SIGMAS:
@@ -96,10 +86,10 @@ def cluttered_looks(drive: Drive, finished: Finished, count: int, rng: np.random
     """Up to `count` scans with clutter, and the milliseconds that finding their polygons takes in total."""
     mapped, looks, ms = finished.identity[finished.pipeline.filter.ids], list[Look](), 0.0
     for step in rng.permutation(np.arange(FIRST_SCAN, len(drive.scans))).tolist():
-        seen = look(drive, finished, step)
+        seen = rough_pose.look(drive, finished, step)
         real = np.flatnonzero(np.isin(seen.true, mapped) & (seen.true >= 0))
         if CORNERS - SPURIOUS <= len(real) <= CORNERS and len(looks) < count:
-            corners, beams, wall = front_end(drive.scans[step], drive.slam)
+            corners, beams, wall = rough_pose.front_end(drive.scans[step], drive.slam)
             corners, source = with_spurious(corners, beams, vertices_first(real, seen.polygons, rng), rng)
             find = partial(find_structure, corners, beams, drive.slam.polygon, wall)
             true = np.where(source < 0, -1, seen.true[source])
@@ -136,13 +126,13 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
 def race(finished: Finished, seen: Look, error: Array, slam: SlamConfig) -> dict[str, Figures]:
     """What every associator does with one scan, its pose off by `error`: a row of x, y, heading, and their sigmas."""
     off, sigmas = error
-    view, belief = rough_view(finished.pipeline, seen.T_map_robot + off, sigmas, len(seen.corners))
+    view, belief = rough_pose.rough_view(finished.pipeline, seen.T_map_robot + off, sigmas, len(seen.corners))
     rows = {}
     for name, row in METHODS.items():
         config = with_change(slam, row.change).association.model_copy(update={"search_budget": BUDGET})
         decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
         match = decide()
-        pairs, wrong = judged(finished, seen, match)
+        pairs, wrong = rough_pose.judged(finished, seen, match)
         rows[name] = {
             "scans": 1,
             "ms": fastest_ms(decide),

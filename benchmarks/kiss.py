@@ -34,16 +34,7 @@ from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.association.cliques import candidate_pairs, jointly_compatible
 from mecp_env.slam.association.gating import one_to_one
 from mecp_env.slam.association.rivals import TableAssociator
-from mecp_env.slam.messages import (
-    Belief,
-    Cell,
-    Corners,
-    Decision,
-    MapView,
-    MergedScan,
-    Reason,
-    SemanticGrid,
-)
+from mecp_env.slam.messages import Belief, Cell, Corners, Decision, MapView, MergedScan, Reason, SemanticGrid
 from mecp_env.slam.protocols import Filter
 
 PACKAGE = "kiss_matcher"

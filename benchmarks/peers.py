@@ -148,11 +148,7 @@ def installed() -> dict[Any, Block]:
 
 def compared(ours: Array, theirs: Array) -> Figures:
     """Our steps per second over the peer's, and both, from the seconds per step in each turn."""
-    return {
-        "ratio": ratio(theirs, ours),
-        "steps_per_s": 1.0 / ours.mean(),
-        "peer_steps_per_s": 1.0 / theirs.mean(),
-    }
+    return {"ratio": ratio(theirs, ours), "steps_per_s": 1.0 / ours.mean(), "peer_steps_per_s": 1.0 / theirs.mean()}
 
 
 def report(figures: Figures) -> str:

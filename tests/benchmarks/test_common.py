@@ -104,9 +104,9 @@ def test_a_unit_that_fails_is_named_and_raised_when_the_others_are_finished(
 @pytest.fixture
 def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., types.ModuleType]:
     """Puts a benchmark in the place of another one; results and units go to a temporary folder."""
-    monkeypatch.setattr(command, "RESULTS", tmp_path / "results")
-    monkeypatch.setattr(command, "UNITS", tmp_path / "units")
-    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    monkeypatch.setattr(common, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(common, "UNITS", tmp_path / "units")
+    monkeypatch.setattr(common, "calibration_ms", lambda: 5.0)
 
     def put(name: str, run: Callable[[Options], Any]) -> types.ModuleType:
         module = types.ModuleType(f"benchmarks.{name}")

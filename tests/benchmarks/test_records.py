@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks import association, kidnap, noise, record, records
+from benchmarks import association, common, kidnap, noise, record, records
 from benchmarks.common import Options
 from benchmarks.drives import Drive, replay
 from benchmarks.records import HEADER, Course, RecordError, Records, load_record, read_drive, save_record
@@ -155,8 +155,8 @@ def test_the_command_record_makes_each_drive_once_in_shards_or_whole(
 ) -> None:
     courses = [dataclasses.replace(SHORT, seed=seed) for seed in range(3)]
     monkeypatch.setattr(record, "COURSES", {"a": lambda most: courses[:most], "b": lambda most: courses[1:]})
-    monkeypatch.setattr(command, "UNITS", tmp_path / "units")
-    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    monkeypatch.setattr(common, "UNITS", tmp_path / "units")
+    monkeypatch.setattr(common, "calibration_ms", lambda: 5.0)
     folder = tmp_path / "records"
     for number in (1, 2):
         assert command.main(["record", "--records", str(folder), "--shard", f"{number}/2"]) == 0
