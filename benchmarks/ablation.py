@@ -33,8 +33,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.evaluation.calibration import Calibration, calibrate_log
 from mecp_env.evaluation.log_run import config_for, run_log
-from mecp_env.logs import read_log
-from mecp_env.logs.log import Log
+from mecp_env.logs import Log, read_log
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 

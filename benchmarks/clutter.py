@@ -30,9 +30,8 @@ from benchmarks.tables import by_row, sections, table
 from benchmarks.variants import associators, replays
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
-from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.rooms import RoomGraphEstimator
 
 DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent

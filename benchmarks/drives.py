@@ -14,17 +14,15 @@ from benchmarks.errors import nees as nees_of
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
-from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.association import OracleAssociator, make_associator
-from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
-from mecp_env.slam.output import SlamOutput
-from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion

@@ -24,10 +24,8 @@ from benchmarks.records import Course, Records
 from benchmarks.tables import flatten, sections, table
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.slam.output import SlamOutput
-from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam import Scan, SlamOutput, SlamPipeline
 
 LAYOUT, SEED = "paper", 0
 FIRST_SCANS = 120  # figures 2 and 3 are of one of these

@@ -14,9 +14,8 @@ from benchmarks.kiss import KissPointsAssociator
 from benchmarks.tables import columns_of, means, ratios
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.slam import SlamConfig, SlamPipeline
+from mecp_env.slam import Scan, SlamConfig, SlamPipeline
 from mecp_env.slam.frontend import front_end as features_of
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon

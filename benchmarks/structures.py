@@ -27,8 +27,7 @@ from benchmarks.rough_pose import figures_of, front_end, named, right_share
 from benchmarks.tables import by_row, columns_of, means, ratios, sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.carriers import Array
-from mecp_env.slam import config
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam import SlamConfig, config
 from mecp_env.slam.mecp import find_structure
 
 SETS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
