@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.errors import map_nees
 from benchmarks.errors import nees as nees_of
+from benchmarks.in_tree import random_commands
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
@@ -150,13 +151,11 @@ def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], b
 
 def drive_at_random(env: MecpEnv, steps: int, seed: int = 0) -> None:
     """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
-    rng = np.random.default_rng(seed)
+    commands = random_commands(seed)
     for step in range(steps):
         if step % 1000 == 0:
             env.reset(seed=seed + step)
-        if step % 10 == 0:
-            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
-        _, _, terminated, truncated, _ = env.step(action)
+        _, _, terminated, truncated, _ = env.step(next(commands))
         if terminated or truncated:
             env.reset(seed=seed + step)
 

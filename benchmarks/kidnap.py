@@ -122,13 +122,14 @@ def summarise(drives: list[Figures]) -> Figures:
     """Results of all drives of a layout, with 95 % intervals over drives."""
     cells = {kind: of_events([drive[kind] for drive in drives]) for kind in KINDS}
     traces = [scans_of(drive) for drive in drives]
-    before = columns_of([alarms_of(np.array(drive["before"])) for drive in drives])
+    before = [np.array(drive["before"]) for drive in drives]
+    alarms = [((scans[:, 0] < DOUBTED) & (scans[:, 1] < WRONG_M)).sum() for scans in before]
     cells["confidence"] = {
         "auc": estimate([roc_area(*of.T) for of in traces]),
         "calibration": estimate([calibration_error(*of.T) for of in traces]),
         "auc_of_all": roc_area(*np.concatenate(traces).T),
         "calibration_of_all": calibration_error(*np.concatenate(traces).T),
-        **ratios(before, false_alarms="alarms/scans"),
+        "false_alarms": ratio(alarms, list(map(len, before))),
     }
     return cells
 
@@ -148,11 +149,6 @@ def of_events(drives: list[list[Figures]]) -> Figures:
         "wrong_poses": int(of["accepted"].sum()),
         "events": int(of["events"].sum()),
     }
-
-
-def alarms_of(scans: Array) -> Figures:
-    """False alarms among scans (n,2) of confidence and position error."""
-    return {"alarms": ((scans[:, 0] < DOUBTED) & (scans[:, 1] < WRONG_M)).sum(), "scans": len(scans)}
 
 
 def scans_of(drive: Figures) -> Array:
