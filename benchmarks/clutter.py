@@ -24,7 +24,7 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop, noise
 from benchmarks.common import Figures, Gate, Options, runs_of
-from benchmarks.plots import Panel, draw_bands
+from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.tables import by_row, sections, table
 from benchmarks.variants import associators, replays
@@ -163,23 +163,15 @@ def report(figures: Figures) -> str:
 
 
 def figure(figures: Figures) -> Figure:
-    """A row of panels per metric: over detection and over spurious corners, in each layout; all on a log scale."""
-    axes_of = {"detection": [(d, 0) for d in DETECTION], "spurious, %": [(1.0, s) for s in SPURIOUS]}
-    columns = [(layout, x) for layout in figures for x in axes_of]
-    drawn = Figure(figsize=(3.2 * len(columns) + 1.0, 2.6 * len(DRAWN) + 0.5), layout="constrained")
-    grid = drawn.subplots(len(DRAWN), len(columns), sharey="row", squeeze=False)
-    for row, (metric, label) in zip(grid, DRAWN.items(), strict=True):
-        for axes, (layout, x) in zip(row, columns, strict=True):
-            measured = {cell: figures[layout][named(*cell)] for cell in axes_of[x] if named(*cell) in figures[layout]}
-            lines = lines_of(measured.values(), metric)
-            draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in measured], lines))
-            axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "rmse_m" else "")
-            if any(estimate["value"] for line in lines.values() for estimate in line):
-                axes.set_yscale("log")
-        row[0].set_ylabel(label)
-    handles = grid[0][0].get_legend_handles_labels()
-    drawn.legend(*handles, loc="outside lower center", ncols=2 * len(columns) - 1, frameon=False, fontsize=8)
-    return drawn
+    """A panel per layout and metric, over detection and over spurious corners."""
+    points_of = {"detection": [(d, 0) for d in DETECTION], "spurious, %": [(1.0, s) for s in SPURIOUS]}
+    rows: dict[str, dict[str, Panel]] = {}
+    for number, (x, points) in enumerate(points_of.items()):
+        for layout, cells in figures.items():
+            measured = {f"{cell[number]:g}": cells[named(*cell)] for cell in points if named(*cell) in cells}
+            panels = {label: Panel(list(measured), lines_of(measured.values(), key)) for key, label in DRAWN.items()}
+            rows.setdefault(x, {}).update({f"{layout}: {label}": panel for label, panel in panels.items()})
+    return panel_rows(rows, "", log=True, sharey=False)
 
 
 def lines_of(cells: Collection[Figures], metric: str) -> dict[str, list[Figures]]:
