@@ -8,7 +8,7 @@ are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[s
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import json
 import math
 import os
@@ -175,12 +175,17 @@ def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> flo
     return min(timeit.repeat(call, repeat=repeats, number=calls)) / calls
 
 
-def from_extra(package: str, what: str, extra: str = "lab") -> Any:
-    """A package of an extra. Raises `OptionError` that says what needs it where it is not installed."""
+def is_installed(package: str) -> bool:
+    """Whether a package of an extra is there."""
+    return importlib.util.find_spec(package) is not None
+
+
+def from_lab(package: str, what: str) -> Any:
+    """A package of the extra `lab`. Raises `OptionError` that says what needs it where it is not installed."""
     try:
         return importlib.import_module(package)
     except ModuleNotFoundError:
-        raise OptionError(f"{what}: pip install -e '.[{extra}]'") from None
+        raise OptionError(f"{what}: pip install -e '.[lab]'") from None
 
 
 @compiled

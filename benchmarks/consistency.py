@@ -160,9 +160,9 @@ def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> F
     return figures
 
 
-def band(runs: int, dimensions: int = 3) -> tuple[float, float]:
-    """The 95 % interval of the mean NEES of so many runs."""
-    low, high = chi2.interval(0.95, dimensions * runs)
+def band(runs: int) -> tuple[float, float]:
+    """The 95 % interval of the mean NEES of the pose in so many runs."""
+    low, high = chi2.interval(0.95, 3 * runs)
     return float(low) / runs, float(high) / runs
 
 

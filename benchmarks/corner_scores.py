@@ -47,7 +47,6 @@ class Truth:
 class Place:
     """One pose in one layout, the ground truth visible from it, and a scan for every preset."""
 
-    layout: str
     truth: Truth
     scans: dict[tuple[str, int], Scan]
 
@@ -77,7 +76,7 @@ def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str,
         rng = np.random.default_rng((seed, *layout.encode(), number))
         T_world_robot = random_free_pose(outline, rng, CLEARANCE_M)
         scans = {key: laser.scan(T_world_robot, rng) for key, laser in lasers.items()}
-        places.append(Place(layout, truth_at(outline, lasers[presets[0]], T_world_robot), scans))
+        places.append(Place(truth_at(outline, lasers[presets[0]], T_world_robot), scans))
     return places
 
 

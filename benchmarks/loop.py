@@ -23,9 +23,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.common import Figures, Gate, Options, is_installed, runs_of
 from benchmarks.drives import Drive
-from benchmarks.kiss import installed
+from benchmarks.kiss import PACKAGE
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
 from benchmarks.rough_pose import count_scans, drawn_looks, figures_of, finish, named
@@ -36,7 +36,12 @@ SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, d
 VARIANTS = rows_of(
     *(DEFAULT, "mecp without polygons", "mecp without descriptor", "mecp without both", "mecp without cliques"),
     *("mecp in one pass", "jcbb", "jcbb with descriptor", "jcbb with descriptor in two passes"),
-    *("jcbb with all of mecp", "ccda with descriptor", "clipper with descriptor", *(KISS if installed() else ())),
+    *(
+        "jcbb with all of mecp",
+        "ccda with descriptor",
+        "clipper with descriptor",
+        *(KISS if is_installed(PACKAGE) else ()),
+    ),
     *("nearest", "mecp_paper"),
 )
 SETS = {"paper": 20, "hard": 20, "twins": 20}  # drives

@@ -8,7 +8,6 @@ without resets. A ratio compares the blocks of the same turn.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import io
 import math
 import sys
@@ -24,7 +23,7 @@ import numpy as np
 import shapely
 import yaml
 
-from benchmarks.common import Figures, in_turns, ratio
+from benchmarks.common import Figures, in_turns, is_installed, ratio
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array
@@ -139,7 +138,7 @@ def installed() -> dict[Any, Block]:
     """The peers that can be imported; a line on stderr about each of the others."""
     found: dict[Any, Block] = {}
     for kind in (MiniGrid, IrSim):
-        if importlib.util.find_spec(kind.package):
+        if is_installed(kind.package):
             found[kind.name] = kind()
         else:
             print(f"{kind.name} is not installed (extra `peers`): no comparison", file=sys.stderr)

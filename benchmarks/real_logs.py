@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import karto
-from benchmarks.common import Figures, estimate
+from benchmarks.common import Figures, estimate, is_installed
 from benchmarks.real_maps import MapData
 from mecp_env.core.se2 import composed
 from mecp_env.evaluation.calibration import calibrate_log
@@ -55,7 +55,7 @@ def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tup
 
 def rival_of(run: LogRun) -> Figures:
     """Figures of OpenKarto on the same scans and odometry; nothing where it is not installed."""
-    if not karto.installed():
+    if not is_installed(karto.PACKAGE):
         return {}
     rows = np.searchsorted(run.log.t, run.t)
     raw = run.log.T_odom_robot  # without it, odometry was made of the reference path

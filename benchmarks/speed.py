@@ -102,9 +102,9 @@ def pymunk_space(outline: Outline) -> pymunk.Space:
     return space
 
 
-def query_pymunk(space: pymunk.Space, T_world_robot: Array, reach: float = 30.0) -> list[float]:
+def query_pymunk(space: pymunk.Space, T_world_robot: Array) -> list[float]:
     """Ranges of 720 rays by `segment_query_first`."""
-    x, y, heading = T_world_robot.tolist()
+    (x, y, heading), reach = T_world_robot.tolist(), 30.0
     ranges = []
     for beam in range(BEAMS):
         angle = heading - math.pi + (beam + 1) * 2.0 * math.pi / BEAMS
