@@ -35,11 +35,9 @@ NAMES = (
     *("structures", "uncertainty", "vector", "vector_step", "victoria_park", "worlds"),
 )
 HERE_ONLY = ("association_time", "map_size", "real", "scale", "soak")  # times, memory, maps: none runs on a cluster
-IN_UNITS = (  # of work, kept and divided
-    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
-    *("filters", "kidnap", "loop", "map_size", "mutated", "noise", "paper_mode", "real", "restore", "returns", "scale"),
-    *("sensors", "soak", "structures", "uncertainty", "worlds"),
-)
+IN_ONE = ("figures", "formats", "learning", "replay", "speed", "start", "stock_ppo")
+IN_ONE += ("vector", "vector_step", "victoria_park")
+IN_UNITS = tuple(name for name in NAMES if name not in IN_ONE)  # of work, kept and divided
 ON_RECORDS = (
     *("ablation", "association", "association_time", "claims", "clutter", "consistency", "figures", "kidnap", "loop"),
     *("map_size", "noise", "paper_mode", "real", "sensors", "structures", RECORD),

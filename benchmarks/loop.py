@@ -36,12 +36,8 @@ SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, d
 VARIANTS = rows_of(
     *(DEFAULT, "mecp without polygons", "mecp without descriptor", "mecp without both", "mecp without cliques"),
     *("mecp in one pass", "jcbb", "jcbb with descriptor", "jcbb with descriptor in two passes"),
-    *(
-        "jcbb with all of mecp",
-        "ccda with descriptor",
-        "clipper with descriptor",
-        *(KISS if is_installed(PACKAGE) else ()),
-    ),
+    *("jcbb with all of mecp", "ccda with descriptor", "clipper with descriptor"),
+    *(KISS if is_installed(PACKAGE) else ()),
     *("nearest", "mecp_paper"),
 )
 SETS = {"paper": 20, "hard": 20, "twins": 20}  # drives
