@@ -26,7 +26,7 @@ from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import course
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import FIRST_SCAN, RIGHT_PAIRS, Finished, Look, named
+from benchmarks.rough_pose import FIRST_SCAN, Finished, Look, named
 from benchmarks.tables import columns_of, ratios, sections, table
 from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
@@ -131,15 +131,11 @@ def race(finished: Finished, seen: Look, error: Array, slam: SlamConfig) -> dict
     for name, row in METHODS.items():
         config = with_change(slam, row.change).association.model_copy(update={"search_budget": BUDGET})
         decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
-        match = decide()
-        pairs, wrong = rough_pose.judged(finished, seen, match)
+        judged = rough_pose.judged(finished, seen, decide())
         rows[name] = {
             "scans": 1,
+            **judged,
             "ms": fastest_ms(decide),
-            "right": pairs >= RIGHT_PAIRS and not wrong,
-            "pairs": pairs,
-            "wrong": wrong,
-            "polygon": match.polygon >= 0,
             "budget_spent": config.method == "jcbb" and nodes(seen.corners, view, belief, config) >= BUDGET,
         }
     return rows
