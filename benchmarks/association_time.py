@@ -102,8 +102,7 @@ def vertices_first(real: Ints, polygons: tuple[Polygon, ...], rng: np.random.Gen
     """As many of the corners `real` as are kept: vertices of polygons, then others at random."""
     vertices = np.concatenate([np.empty(0, np.int64), *(polygon.corners for polygon in polygons)])
     order = np.lexsort((rng.random(len(real)), ~np.isin(real, vertices)))
-    kept: Ints = real[order[: CORNERS - SPURIOUS]]
-    return kept
+    return real[order[: CORNERS - SPURIOUS]]
 
 
 def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.random.Generator) -> tuple[Corners, Ints]:

@@ -118,8 +118,7 @@ def draw_inside(ring: Array, rng: np.random.Generator) -> Array:
     areas = ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]
     chosen = rng.choice(len(ring), POINTS, p=areas / areas.sum())
     u, v = np.sort(rng.random((2, POINTS)), axis=0)
-    inside: Array = INSIDE * (u[:, None] * ring[chosen] + (v - u)[:, None] * following[chosen])
-    return inside
+    return INSIDE * (u[:, None] * ring[chosen] + (v - u)[:, None] * following[chosen])
 
 
 def of_scans(layout: str, poses: int) -> Figures:

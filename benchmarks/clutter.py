@@ -145,8 +145,7 @@ def independent(cov: Array, alone: Bools) -> Array:
     """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
     correlated = np.repeat(~alone, 2)
     own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
-    kept: Array = np.where(own | (correlated[:, None] & correlated), cov, 0.0)
-    return kept
+    return np.where(own | (correlated[:, None] & correlated), cov, 0.0)
 
 
 def report(figures: Figures) -> str:

@@ -71,8 +71,7 @@ def turned(cov: Array, angle: float) -> Array:
     """(3,3) covariance of x, y, heading in axes that are turned by -angle."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    rotated: Array = R @ cov @ R.T
-    return rotated
+    return R @ cov @ R.T
 
 
 Correct = Callable[[Filter, Sighting, Odometry | None], None]  # by known landmarks, after a motion or at the start

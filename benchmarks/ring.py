@@ -60,8 +60,7 @@ def nearest_room(p: Array) -> int:
 def moved(T: Array, d: float, sideways: float, w: float) -> Array:
     """The pose after an arc of length d and turn w, with a slip to the left."""
     c, s = np.cos(T[2] + w / 2), np.sin(T[2] + w / 2)
-    moved_pose: Array = T + np.array([d * c - sideways * s, d * s + sideways * c, w])
-    return moved_pose
+    return T + np.array([d * c - sideways * s, d * s + sideways * c, w])
 
 
 def measure(T: Array, points: Array) -> Array:

@@ -123,8 +123,7 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (ax * ey - ay * ex) / (dx * ey - dy * ex)
         share = (ax * dy - ay * dx) / (dx * ey - dy * ex)
-    ranges: Array = np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
-    return ranges
+    return np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
 
 
 def report(figures: Figures) -> str:

@@ -104,5 +104,4 @@ class TreeWorker:
             self.errors.seek(0)
             last = self.errors.read().decode(errors="replace").strip()
             raise TreeError(f"{self.name}: the worker ended with exit code {code}\n{last}")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+        return json.loads(line)
