@@ -17,24 +17,13 @@ from matplotlib import rc_context
 from matplotlib.figure import Figure
 from PIL import Image
 
-from benchmarks.common import (
-    RECORDS,
-    RESULTS,
-    UNITS,
-    Figures,
-    OptionError,
-    Options,
-    ShardDone,
-    calibration_ms,
-    failures,
-    page_of,
-    result,
-    save,
-)
+from benchmarks import common
+from benchmarks.common import Figures, OptionError, Options, ShardDone, page_of, result
 from benchmarks.trees import TreeError
 from mecp_env.cli.base import check_json
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.interrupts import INTERRUPTED
+from mecp_env.core.provenance import import_modules
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
@@ -46,11 +35,9 @@ NAMES = (
     *("structures", "uncertainty", "vector", "vector_step", "victoria_park", "worlds"),
 )
 HERE_ONLY = ("association_time", "map_size", "real", "scale", "soak")  # times, memory, maps: none runs on a cluster
-IN_UNITS = (  # of work, kept and divided
-    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
-    *("filters", "kidnap", "loop", "map_size", "mutated", "noise", "paper_mode", "real", "restore", "returns", "scale"),
-    *("sensors", "soak", "structures", "uncertainty", "worlds"),
-)
+IN_ONE = ("figures", "formats", "learning", "replay", "speed", "start", "stock_ppo")
+IN_ONE += ("vector", "vector_step", "victoria_park")
+IN_UNITS = tuple(name for name in NAMES if name not in IN_ONE)  # of work, kept and divided
 ON_RECORDS = (
     *("ablation", "association", "association_time", "claims", "clutter", "consistency", "figures", "kidnap", "loop"),
     *("map_size", "noise", "paper_mode", "real", "sensors", "structures", RECORD),
@@ -79,6 +66,10 @@ def main(arguments: list[str] | None = None) -> int:
     if given.name == "speed" and given.against:
         module = importlib.import_module("benchmarks.against")
     try:
+        import_modules(given.modules)
+    except ConfigError as error:
+        parser().error(str(error))
+    try:
         content = measure(given.name, module, options)
     except OptionError as error:
         parser().error(str(error))
@@ -106,8 +97,8 @@ def keep(given: argparse.Namespace, module: Any, options: Options, content: Figu
 
 def write(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
     """Write the result with its page and its pictures."""
-    path = given.json or RESULTS / f"{given.name}.json"
-    save(content, page_of(content, module, f"{path.stem}.png"), path)
+    path = given.json or common.RESULTS / f"{given.name}.json"
+    common.save(content, page_of(content, module, f"{path.stem}.png"), path)
     if hasattr(module, "figure"):
         save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
     if hasattr(module, "pictures"):
@@ -130,8 +121,8 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     """The options of a benchmark; ends the process with 2 for one that it does not have."""
     for fault in wrong_options(given, module):
         parser().error(fault)
-    folder = UNITS / given.name
-    records = given.records or (RECORDS if given.name == RECORD else folder / "records")
+    folder = common.UNITS / given.name
+    records = given.records or (common.RECORDS if given.name == RECORD else folder / "records")
     shared = {field.name: getattr(given, field.name) for field in fields(Options) if hasattr(given, field.name)}
     return Options(**shared | {"folder": folder.absolute(), "records": records.absolute()})
 
@@ -202,18 +193,18 @@ def positive(text: str) -> int:
 
 def measure(name: str, module: Any, options: Options) -> Figures:
     """Run a benchmark between two calibrations; the faster one counts."""
-    before = calibration_ms()
+    before = common.calibration_ms()
     figures = module.run(options)
-    return result(name, figures, min(before, calibration_ms()))
+    return result(name, figures, min(before, common.calibration_ms()))
 
 
 def gate(module: Any, content: Figures) -> int:
     """Print what is worse than the committed baseline."""
-    gates, baseline = getattr(module, "GATES", ()), RESULTS / f"{content['benchmark']}.json"
+    gates, baseline = getattr(module, "GATES", ()), common.RESULTS / f"{content['benchmark']}.json"
     if not gates or not baseline.is_file():
         print(f"gate failed: {'no gates defined' if not gates else f'no baseline {baseline.name}'}")
         return 1
-    worse = failures(gates, content, json.loads(baseline.read_text()))
+    worse = common.failures(gates, content, json.loads(baseline.read_text()))
     print("\n".join(["gate failed:", *worse]) if worse else f"gate passed: {len(gates)} figures")
     return 1 if worse else 0
 

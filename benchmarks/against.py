@@ -9,77 +9,47 @@ Simulators of the extra `peers` are measured after that (`peers.py`).
 from __future__ import annotations
 
 import contextlib
-import itertools
 import os
-from collections.abc import Iterator
-from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-from typing import Any
 
 from benchmarks import peers
-from benchmarks.common import Figures, Options, ratio
+from benchmarks.common import Figures, Options, in_turns, ratio
 from benchmarks.tables import table
-from benchmarks.trees import WORKING_TREE, TreeWorker, checkout, tree_worker
+from benchmarks.trees import WORKING_TREE, checkout, tree_worker
 
 ACTIONS, SWEEPS = ("random", "breadth_first"), (1, 4)
 HERE = "working tree"
+BLOCK, WARM_UP = 100, 300  # control steps
+BLOCKS, QUICK_BLOCKS = 60, 5
 
 
-@dataclass(frozen=True, slots=True)
-class Sizes:
-    """How much is driven, in control steps per tree."""
-
-    block: int = 100
-    episode: int = 1000  # it may end earlier by itself
-    warm_up: int = 300
-    total: int = 6000
-
-
-QUICK = Sizes(block=50, warm_up=100, total=500)
-
-
-def run(options: Options, sizes: Sizes | None = None) -> Figures:
+def run(options: Options) -> Figures:
     """For each number of sweeps and kind of action the ratio of the step times, new to old; then the peers."""
     assert options.against is not None
-    sizes = sizes or (QUICK if options.quick else Sizes())
+    blocks = QUICK_BLOCKS if options.quick else BLOCKS
     with checkout(options.against) as other:
         trees = {HERE: WORKING_TREE, options.against: other}
         figures: Figures = {
-            f"K={k}": {actions: compare(trees, actions, k, sizes) for actions in ACTIONS} for k in SWEEPS
+            f"K={k}": {actions: compare(trees, actions, k, blocks) for actions in ACTIONS} for k in SWEEPS
         }
-    return {"against": options.against, **figures, "peers": peers.measure(sizes.total // sizes.block, SWEEPS)}
+    return {"against": options.against, **figures, "peers": peers.measure(blocks, SWEEPS)}
 
 
-def compare(trees: dict[str, Path], actions: str, sweeps: int, sizes: Sizes) -> Figures:
+def compare(trees: dict[str, Path], actions: str, sweeps: int, blocks: int) -> Figures:
     """The figures of one kind of action."""
     with contextlib.ExitStack() as stack:
         workers = [stack.enter_context(tree_worker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
-        return summarise(list(measure(workers, sizes)))
-
-
-def measure(workers: list[TreeWorker], sizes: Sizes) -> Iterator[tuple[dict[str, Any], dict[str, Any]]]:
-    """Pairs of blocks (new, old), which are in the same place of the same episode as long as both trees agree."""
-    for worker in workers:
-        worker.check_package()
-        worker.call("reset", 0)
-        worker.call("drive", sizes.warm_up)
-    for worker in workers:
-        worker.call("pin", max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0)
-    steps, turns = 0, itertools.cycle([(0, 1), (1, 0)])
-    for seed in itertools.count(1):
         for worker in workers:
-            worker.call("reset", seed)
-        for _ in range(0, sizes.episode, sizes.block):
-            blocks = {turn: workers[turn].call("drive", sizes.block) for turn in next(turns)}
-            steps += blocks[0]["steps"]
-            yield blocks[0], blocks[1]
-            if steps >= sizes.total:
-                return
-            if blocks[0]["over"] or blocks[1]["over"]:
-                break
+            worker.call("drive", WARM_UP)
+        for worker in workers:
+            worker.call("pin", max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0)
+        turns = in_turns({worker.name: partial(worker.call, "drive", BLOCK) for worker in workers}, blocks)
+    new, old = trees
+    return summarise([(turn[new], turn[old]) for turn in turns])
 
 
-def summarise(pairs: list[tuple[dict[str, Any], dict[str, Any]]]) -> Figures:
+def summarise(pairs: list[tuple[Figures, Figures]]) -> Figures:
     """Ratio of the times per step with its interval over the pairs of blocks; steps per second; equal results."""
     counted = [pair for pair in pairs if not (pair[0]["compiled"] or pair[1]["compiled"])]
     new, old = ([block["seconds"] / block["steps"] for block in blocks] for blocks in zip(*counted, strict=True))

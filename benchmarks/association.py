@@ -25,10 +25,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks import loop
-from benchmarks.common import Figures, Gate, Options, estimate, load_modules, runs_of, share
+from benchmarks.common import Figures, Gate, Options, estimate, share
 from benchmarks.drives import Drive, Replay
-from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
+from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_drives, place
+from benchmarks.tables import columns_of, means, precision_and_recall, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Bools, Ints
 from mecp_env.evaluation.metrics import AssociationLog
@@ -43,8 +43,7 @@ ASSUMED: dict[str, Any] = {  # the other reading of IV
     "laser": {"preset": "ideal"},
     "slam": {"sensor": {"range_sigma_m": 0.05, "bearing_sigma_deg": 0.3}},
 }
-SEEDS = {"paper": 60, IDEAL: 15, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
-SETS, MOST = tuple(SEEDS), 1000
+SETS = {"paper": 60, IDEAL: 15, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
 
 GATES = (
@@ -70,15 +69,11 @@ class Pairs:
 
 
 def run(options: Options) -> Figures:
-    """Results of every layout and associator."""
-    load_modules(options.modules)
-    runs = on_records(compare, dict[str, Figures], runs_of(options, SEEDS, MOST, 2), options)
-    return {layout: of_layout(by_row(drives)) for layout, drives in runs.items()}
-
-
-def of_layout(rows: dict[str, list[Figures]]) -> Figures:
-    """Results of every associator, and its differences to `mecp` on the same drives."""
-    return {name: summarise(own) | differences(own, rows[DEFAULT]) for name, own in rows.items()}
+    """Results of every layout and associator, with its differences to `mecp` on the same drives."""
+    return {
+        layout: {name: summarise(own) | differences(own, rows[DEFAULT]) for name, own in rows.items()}
+        for layout, rows in on_drives(compare, SETS, options).items()
+    }
 
 
 def methods() -> dict[str, Variant]:
@@ -209,17 +204,8 @@ def report(figures: Figures) -> str:
     parts = {}
     for layout, methods in figures.items():
         paired = [name for name in methods[DEFAULT] if name.endswith("_minus_mecp")]
-        parts[f"{layout} ({methods[DEFAULT]['precision']['n']} seeds)"] = "\n\n".join(
-            [
-                shown(columns, methods),
-                "Mean difference to `mecp` on the same drives:",
-                table_of("associator", paired, methods),
-            ]
-        )
+        cells = {name: {column: cell(row[column], ".4g") for column in columns} for name, row in methods.items()}
+        tables = table_of("associator", columns, cells), table_of("associator", paired, methods)
+        title = f"{layout} ({methods[DEFAULT]['precision']['n']} seeds)"
+        parts[title] = "\n\nMean difference to `mecp` on the same drives:\n\n".join(tables)
     return sections(parts)
-
-
-def shown(columns: Sequence[str], methods: dict[str, Figures]) -> str:
-    """The table of all associators, with four digits of large numbers, too."""
-    cells = {name: {column: cell(row[column], ".4g", 1.0) for column in columns} for name, row in methods.items()}
-    return table_of("associator", columns, cells)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import from_extra
+from benchmarks.common import from_lab
 from benchmarks.known_pairs import Record, Sighting
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import wrapped
@@ -128,4 +128,4 @@ def pose_of(gtsam: Any, T: Array) -> Any:
 
 def library() -> Any:
     """GTSAM. Raises `OptionError` where it is not installed."""
-    return from_extra("gtsam", "the batch optimum needs GTSAM")
+    return from_lab("gtsam", "the batch optimum needs GTSAM")

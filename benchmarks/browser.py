@@ -128,5 +128,4 @@ class Browser:
                 raise EOFError("the browser has ended")
             self._rest += more
         message, self._rest = self._rest.split(b"\0", 1)
-        said: dict[str, Any] = json.loads(message)
-        return said
+        return json.loads(message)

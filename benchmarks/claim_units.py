@@ -16,12 +16,11 @@ from benchmarks.records import IN_MEMORY, Records
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.ground_truth import covers
-from mecp_env.slam.config import PolygonConfig, SlamConfig
+from mecp_env.slam import SlamConfig, SlamOutput, SlamPipeline
+from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp import find_polygons
 from mecp_env.slam.mecp.dobkin import rings_around
 from mecp_env.slam.messages import Corners, Polygon
-from mecp_env.slam.output import SlamOutput
-from mecp_env.slam.pipeline import SlamPipeline
 
 METHODS = variants.rows_of(  # some of the benchmark `association`
     *("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", variants.LETTER)
@@ -119,8 +118,7 @@ def draw_inside(ring: Array, rng: np.random.Generator) -> Array:
     areas = ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]
     chosen = rng.choice(len(ring), POINTS, p=areas / areas.sum())
     u, v = np.sort(rng.random((2, POINTS)), axis=0)
-    inside: Array = INSIDE * (u[:, None] * ring[chosen] + (v - u)[:, None] * following[chosen])
-    return inside
+    return INSIDE * (u[:, None] * ring[chosen] + (v - u)[:, None] * following[chosen])
 
 
 def of_scans(layout: str, poses: int) -> Figures:

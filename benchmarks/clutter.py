@@ -17,29 +17,26 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from functools import partial
-from itertools import chain
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
-from benchmarks.plots import Panel, draw_bands
+from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.tables import by_row, sections, table
 from benchmarks.variants import associators, replays
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
-from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.rooms import RoomGraphEstimator
 
 DETECTION, SPURIOUS = (1.0, 0.95, 0.9, 0.8), (0, 10, 20, 30)  # probability; per cent
 CELLS = (*((d, 0) for d in DETECTION), *((1.0, s) for s in SPURIOUS[1:]), (0.9, 20), (0.8, 30))
-DRIVES = {"paper": 20, HARD: 4}
-SETS, MOST, QUICK_DRIVES = tuple(DRIVES), 1000, 2
+SETS = {"paper": 20, HARD: 4}
 CLEAR_M = 0.5
 TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
 METRICS = ("precision", "recall", "rmse_m", "lost", "associate_ms")
@@ -55,11 +52,8 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every layout, cell and associator."""
-    load_modules(options.modules)
     drives = [
-        (layout, detection, spurious, seed)
-        for layout, seed in runs_of(options, DRIVES, MOST, QUICK_DRIVES)
-        for detection, spurious in CELLS
+        (layout, detection, spurious, seed) for layout, seed in runs_of(options, SETS) for detection, spurious in CELLS
     ]
     figures: Figures = {}
     for (layout, *cell), runs in on_records(compare, dict[str, Figures], drives, options).items():
@@ -151,46 +145,32 @@ def independent(cov: Array, alone: Bools) -> Array:
     """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
     correlated = np.repeat(~alone, 2)
     own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
-    kept: Array = np.where(own | (correlated[:, None] & correlated), cov, 0.0)
-    return kept
+    return np.where(own | (correlated[:, None] & correlated), cov, 0.0)
 
 
 def report(figures: Figures) -> str:
     """Per layout a table of each metric, with a row per associator and a column per cell."""
     parts = {}
     for layout, cells in figures.items():
-        methods, tables = list(dict.fromkeys(chain.from_iterable(cells.values()))), []
+        first, tables = next(iter(cells.values())), []
         columns = [cell.replace("detection ", "").replace("spurious ", "") for cell in cells]
         for metric in METRICS:
-            rows = [[name, *(of.get(name, {}).get(metric, "-") for of in cells.values())] for name in methods]
+            rows = [[name, *(of[name][metric] for of in cells.values())] for name in first]
             tables.append(table([f"`{metric}`: detection, spurious", *columns], rows))
-        parts[f"{layout} ({_drives(cells)} drives)"] = "\n\n".join(tables)
+        parts[f"{layout} ({next(iter(first.values()))['rmse_m']['n']} drives)"] = "\n\n".join(tables)
     return sections(parts)
 
 
-def _drives(cells: Figures) -> int:
-    """The most drives of a cell."""
-    return max((row["rmse_m"]["n"] for of in cells.values() for row in of.values()), default=0)
-
-
 def figure(figures: Figures) -> Figure:
-    """A row of panels per metric: over detection and over spurious corners, in each layout; all on a log scale."""
-    axes_of = {"detection": [(d, 0) for d in DETECTION], "spurious, %": [(1.0, s) for s in SPURIOUS]}
-    columns = [(layout, x) for layout in figures for x in axes_of]
-    drawn = Figure(figsize=(3.2 * len(columns) + 1.0, 2.6 * len(DRAWN) + 0.5), layout="constrained")
-    grid = drawn.subplots(len(DRAWN), len(columns), sharey="row", squeeze=False)
-    for row, (metric, label) in zip(grid, DRAWN.items(), strict=True):
-        for axes, (layout, x) in zip(row, columns, strict=True):
-            measured = {cell: figures[layout][named(*cell)] for cell in axes_of[x] if named(*cell) in figures[layout]}
-            lines = lines_of(measured.values(), metric)
-            draw_bands(axes, Panel([f"{cell[x != 'detection']:g}" for cell in measured], lines))
-            axes.set(title=layout if metric == "precision" else "", xlabel=x if metric == "rmse_m" else "")
-            if any(estimate["value"] for line in lines.values() for estimate in line):
-                axes.set_yscale("log")
-        row[0].set_ylabel(label)
-    handles = grid[0][0].get_legend_handles_labels()
-    drawn.legend(*handles, loc="outside lower center", ncols=2 * len(columns) - 1, frameon=False, fontsize=8)
-    return drawn
+    """A panel per layout and metric, over detection and over spurious corners."""
+    points_of = {"detection": [(d, 0) for d in DETECTION], "spurious, %": [(1.0, s) for s in SPURIOUS]}
+    rows: dict[str, dict[str, Panel]] = {}
+    for number, (x, points) in enumerate(points_of.items()):
+        for layout, cells in figures.items():
+            measured = {f"{cell[number]:g}": cells[named(*cell)] for cell in points if named(*cell) in cells}
+            panels = {label: Panel(list(measured), lines_of(measured.values(), key)) for key, label in DRAWN.items()}
+            rows.setdefault(x, {}).update({f"{layout}: {label}": panel for label, panel in panels.items()})
+    return panel_rows(rows, "", log=True, sharey=False)
 
 
 def lines_of(cells: Collection[Figures], metric: str) -> dict[str, list[Figures]]:

@@ -8,7 +8,7 @@ are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[s
 
 from __future__ import annotations
 
-import importlib
+import importlib.util
 import json
 import math
 import os
@@ -16,7 +16,7 @@ import platform
 import sys
 import time
 import timeit
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -26,10 +26,9 @@ import numba
 import numpy as np
 
 from benchmarks.tables import flatten, readable, table
-from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
 from mecp_env.core.jit import compiled
-from mecp_env.core.provenance import checksums, dependencies, import_modules
+from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
 Unit = TypeVar("Unit", bound=tuple[Any, ...])
@@ -38,6 +37,7 @@ __all__ = ["Figures", "correlation", "estimate", "ratio", "share"]  # of mecp_en
 
 RESULTS = Path(__file__).parent / "results"
 RECORDS = Path("runs/records")  # drives that stay, to be replayed
+MOST = 400  # runs of a set: the split `test` has so many buildings from the first one of each benchmark on
 UNITS = Path("runs/benchmarks")  # results of units of work, until all of a benchmark are there
 
 
@@ -48,7 +48,6 @@ class Options:
     jobs: int = 1  # parallel processes
     quick: bool = False  # a small sample with rough results
     sets: Sequence[str] = ()  # a subset, for benchmarks with sets
-    modules: Sequence[str] = ()  # that register custom associators or filters
     against: str | None = None  # a git commit to compare the working tree with
     shard: Shard = WHOLE  # of the units of work, for benchmarks with units
     folder: Path = UNITS  # of the results of units
@@ -67,7 +66,7 @@ class OptionError(ValueError):
     """An option on the command line that the benchmark does not support."""
 
 
-def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict[str, int]:
+def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int = MOST) -> dict[str, int]:
     """Number of runs of each set named on the command line as `NAME` or `NAME:COUNT`.
 
     Raises `OptionError` for an unknown name or an invalid count.
@@ -83,33 +82,17 @@ def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int) -> dict
     return counts
 
 
-def runs_of(options: Options, counts: Mapping[str, int], most: int, quick: int) -> list[tuple[str, int]]:
+def runs_of(options: Options, counts: Mapping[str, int], quick: int = 2) -> list[tuple[str, int]]:
     """Set and number of each run: of the sets on the command line or all; with --quick, the first `quick` of each."""
-    asked = chosen(options.sets, counts, most) or counts
-    most = quick if options.quick else most
+    asked = chosen(options.sets, counts) or counts
+    most = quick if options.quick else MOST
     return [(name, number) for name, count in asked.items() for number in range(min(count, most))]
-
-
-def buildings_of(options: Options, settings: Iterable[str], each: int, most: int) -> dict[str, int]:
-    """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
-    if options.buildings > most:
-        raise OptionError(f"--buildings {options.buildings}: the split has {most}")
-    counts = dict.fromkeys(settings, options.buildings or each)
-    return chosen(options.sets, counts, most) or counts
 
 
 def shared_data(kind: str) -> Path | None:
     """The folder `shared/data/KIND` beside the repository, None elsewhere."""
     folders = (parent / "shared" / "data" / kind for parent in Path(__file__).resolve().parents)
     return next((folder for folder in folders if folder.is_dir()), None)
-
-
-def load_modules(names: Iterable[str]) -> None:
-    """Import modules that register custom associators or filters. Raises `OptionError` for a missing module."""
-    try:
-        import_modules(names)
-    except ConfigError as error:
-        raise OptionError(str(error)) from None
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,14 +104,18 @@ class Gate:
     slack: float  # ratio above 1 for times, speeds and errors; difference for shares; a bound is the largest value
 
 
-def in_parallel(task: Callable[[Unit], Any], kind: Any, units: Sequence[Unit], options: Options) -> list[Any]:
-    """The result of `task`, of the type `kind`, for each unit in order; units are tuples of words and numbers.
+def in_parallel(
+    task: Callable[[Any], Any], kind: Any, units: Sequence[Unit] | Mapping[str, Any], options: Options
+) -> list[Any]:
+    """The result of `task`, of the type `kind`, for each unit in order.
 
-    Results are kept in `options.folder`, so that the same command continues after a kill. Raises `ShardDone` after a
-    part of the units, and the error of a unit that failed after all others are finished.
+    Units are tuples of words and numbers, or have names. Results are kept in `options.folder`, so that the same command
+    continues after a kill. Raises `ShardDone` after a part of the units, and the error of a unit that failed after all
+    others are finished.
     """
     kept = KeptResults(options.folder, kind, run_key(options))
-    named = {" ".join(map(str, unit)): unit for unit in options.shard.part(units)}
+    all_units = units if isinstance(units, Mapping) else {" ".join(map(str, unit)): unit for unit in units}
+    named = dict(options.shard.part(list(all_units.items())))
     results, errors = dict[str, Any](), list[Exception]()
     todo, begun = len(named.keys() - kept.found.keys()), time.monotonic()
     first = len(named) - todo
@@ -188,12 +175,17 @@ def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> flo
     return min(timeit.repeat(call, repeat=repeats, number=calls)) / calls
 
 
-def from_extra(package: str, what: str, extra: str = "lab") -> Any:
-    """A package of an extra. Raises `OptionError` that says what needs it where it is not installed."""
+def is_installed(package: str) -> bool:
+    """Whether a package of an extra is there."""
+    return importlib.util.find_spec(package) is not None
+
+
+def from_lab(package: str, what: str) -> Any:
+    """A package of the extra `lab`. Raises `OptionError` that says what needs it where it is not installed."""
     try:
         return importlib.import_module(package)
     except ModuleNotFoundError:
-        raise OptionError(f"{what}: pip install -e '.[{extra}]'") from None
+        raise OptionError(f"{what}: pip install -e '.[lab]'") from None
 
 
 @compiled

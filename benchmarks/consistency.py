@@ -26,12 +26,12 @@ from scipy.stats import chi2
 
 from benchmarks import loop
 from benchmarks.batch import Optimum, optimum
-from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, ratio
 from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
 from benchmarks.known_pairs import Sighting, filtered, in_order, measured
 from benchmarks.plots import DASHES, GREYS
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import by_row, columns_of, means, sections, table_of
+from benchmarks.records import IN_MEMORY, Course, Records, on_drives
+from benchmarks.tables import columns_of, means, sections, table_of
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.core.sensors import Odometry
@@ -48,8 +48,7 @@ MODELS: dict[str, dict[str, Any]] = {  # fields of the odometry
     "skid_steer": {"preset": "skid_steer"},
 }
 SLIPS = ("skid_steer",)
-DRIVES = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
-SETS, MOST, QUICK_DRIVES = tuple(MODELS), 1000, 2
+SETS = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
 OVER_TIME, COMPARED = "nees_over_time", ("nees", "landmark_nees", "landmark_rms_m")  # to BASE
 BATCH, BASE, ALL = "batch", "riekf", "riekf, all iterated"
 SUBMAP, MOMENTS = 10, 40  # of a drive, for NEES over time
@@ -64,16 +63,10 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every model and filter. Raises `OptionError` without GTSAM."""
-    load_modules(options.modules)
-    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
-    drives.sort(key=lambda drive: drive[1])  # what is there after a part of the time is there of each model
-    runs = on_records(compare, dict[str, Figures], drives, options)
-    return {model: of_model(by_row(drives)) for model, drives in runs.items()}
-
-
-def of_model(rows: dict[str, list[Figures]]) -> Figures:
-    """Results of every filter, and of the batch optimum."""
-    return {name: summarise(own, rows[BATCH], rows[BASE]) for name, own in rows.items()}
+    return {
+        model: {name: summarise(own, rows[BATCH], rows[BASE]) for name, own in rows.items()}
+        for model, rows in on_drives(compare, SETS, options).items()
+    }
 
 
 def course(model: str, seed: int) -> Course:
@@ -155,7 +148,10 @@ def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
 
 def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> Figures:
     """Results of one filter over all drives with a model, each with its 95 % interval."""
-    of, of_best, of_base = (columns_of([numbers(one) for one in rows]) for rows in (own, best, base))
+    of, of_best, of_base = (
+        columns_of([{name: value for name, value in one.items() if name != OVER_TIME} for one in rows])
+        for rows in (own, best, base)
+    )
     figures: Figures = {**means(of, *of), "over_batch": ratio(of["landmark_rms_m"], of_best["landmark_rms_m"])}
     if own is not best:
         over_time = np.array([one[OVER_TIME] for one in own])
@@ -164,14 +160,10 @@ def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> F
     return figures
 
 
-def numbers(counts: Figures) -> dict[str, float]:
-    """The counts of a drive without those over time."""
-    return {name: value for name, value in counts.items() if name != OVER_TIME}
-
-
-def band(runs: int, dimensions: int = 3) -> tuple[float, float]:
-    """The 95 % interval of the mean NEES of so many runs."""
-    return float(chi2.ppf(0.025, dimensions * runs)) / runs, float(chi2.ppf(0.975, dimensions * runs)) / runs
+def band(runs: int) -> tuple[float, float]:
+    """The 95 % interval of the mean NEES of the pose in so many runs."""
+    low, high = chi2.interval(0.95, 3 * runs)
+    return float(low) / runs, float(high) / runs
 
 
 def report(figures: Figures) -> str:

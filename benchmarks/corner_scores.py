@@ -9,9 +9,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools
-from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle, wrapped
 from mecp_env.core.sensors import Scan
+from mecp_env.slam.association.gating import one_to_one
 from mecp_env.slam.config import SensorModel, SlamConfig
 from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
@@ -46,7 +47,6 @@ class Truth:
 class Place:
     """One pose in one layout, the ground truth visible from it, and a scan for every preset."""
 
-    layout: str
     truth: Truth
     scans: dict[tuple[str, int], Scan]
 
@@ -76,7 +76,7 @@ def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str,
         rng = np.random.default_rng((seed, *layout.encode(), number))
         T_world_robot = random_free_pose(outline, rng, CLEARANCE_M)
         scans = {key: laser.scan(T_world_robot, rng) for key, laser in lasers.items()}
-        places.append(Place(layout, truth_at(outline, lasers[presets[0]], T_world_robot), scans))
+        places.append(Place(truth_at(outline, lasers[presets[0]], T_world_robot), scans))
     return places
 
 
@@ -164,7 +164,7 @@ def score_places(
 
 def score(truth: Truth, corners: Corners, seconds: Array) -> Score:
     """Compare the corners of a scan with ground truth."""
-    partner = np.array(pair(truth, corners), dtype=np.int64)
+    partner = pair(truth, corners)
     rows = np.full((len(corners), 6), np.nan)
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 5] = corners.kind, corners.convex, corners.z[:, 0], partner >= 0
     for i in np.flatnonzero(partner >= 0):
@@ -183,21 +183,13 @@ def error_and_nis(corners: Corners, i: int, p_robot: Array) -> tuple[float, floa
     return math.dist(point, p_robot), float(nu @ np.linalg.solve(corners.R[i], nu))
 
 
-def pair(truth: Truth, corners: Corners) -> list[int]:
-    """The true corner of each corner, nearest pairs first, or -1."""
-    partner = [-1] * len(corners)
-    if len(corners) == 0 or len(truth.convex) == 0:
-        return partner
+def pair(truth: Truth, corners: Corners) -> Ints:
+    """(n,) the true corner of each corner, nearest pairs first, or -1."""
     offset = polar_to_points(corners.z)[:, None] - truth.p_robot[None]
     distance = np.hypot(offset[..., 0], offset[..., 1])
-    turn = np.abs(np.remainder(corners.normals[:, None] - truth.normals[None] + math.pi, 2.0 * math.pi) - math.pi)
+    turn = np.abs(wrapped(corners.normals[:, None] - truth.normals[None]))
     alike = (np.isnan(turn) | (turn < SIGNATURE_RAD)).all(axis=2) & (corners.convex[:, None] == truth.convex[None])
-    distance[~alike | (distance > NEAR_M)] = np.inf
-    while np.isfinite(distance).any():
-        i, j = np.unravel_index(np.argmin(distance), distance.shape)
-        partner[i] = int(j)
-        distance[i, :] = distance[:, j] = np.inf
-    return partner
+    return one_to_one(np.where(alike, distance, np.inf), NEAR_M)
 
 
 def score_doors(truth: Truth, corners: Corners) -> tuple[int, int, int]:

@@ -11,20 +11,19 @@ import numpy as np
 
 from benchmarks.errors import map_nees
 from benchmarks.errors import nees as nees_of
+from benchmarks.in_tree import random_commands
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
-from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.association import OracleAssociator, make_associator
-from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.config import AssociationConfig
 from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
-from mecp_env.slam.output import SlamOutput
-from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion
@@ -152,13 +151,11 @@ def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], b
 
 def drive_at_random(env: MecpEnv, steps: int, seed: int = 0) -> None:
     """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
-    rng = np.random.default_rng(seed)
+    commands = random_commands(seed)
     for step in range(steps):
         if step % 1000 == 0:
             env.reset(seed=seed + step)
-        if step % 10 == 0:
-            action = rng.uniform([0.3, -0.4], [1.0, 0.4])
-        _, _, terminated, truncated, _ = env.step(action)
+        _, _, terminated, truncated, _ = env.step(next(commands))
         if terminated or truncated:
             env.reset(seed=seed + step)
 

@@ -57,20 +57,18 @@ def run(options: Options) -> Figures:
     scores = {name: [score for of_layout in of_layouts for score in of_layout[name]] for name in of_layouts[0]}
     return {
         "poses": poses * len(tasks),
-        "presets": {key: summary(scores[key]) for key in (key_of(preset) for preset in PRESETS)},
+        "presets": {key: summary(scores[key]) for key in map(key_of, PRESETS)},
         "layouts": {task[0]: rates(scores["paper K=4"]) for task, scores in zip(tasks, of_layouts, strict=True)},
-        "thresholds": {key_of(preset): ablation(scores, key_of(preset)) for preset in ABLATED},
+        "thresholds": {
+            key: {name: rates(scores[key if name == THRESHOLDS[0] else f"{key} {name}"]) for name in THRESHOLDS}
+            for key in map(key_of, ABLATED)
+        },
     }
 
 
 def key_of(preset: tuple[str, int]) -> str:
     """The name of a preset in the results."""
     return f"{preset[0]} K={preset[1]}"
-
-
-def ablation(scores: dict[str, list[Score]], key: str) -> Figures:
-    """The rates of one preset with every clustering threshold."""
-    return {name: rates(scores[key if name == THRESHOLDS[0] else f"{key} {name}"]) for name in THRESHOLDS}
 
 
 def score_layout(task: tuple[str, int]) -> dict[str, list[Score]]:

@@ -24,10 +24,8 @@ from benchmarks.records import Course, Records
 from benchmarks.tables import flatten, sections, table
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.slam.output import SlamOutput
-from mecp_env.slam.pipeline import SlamPipeline
+from mecp_env.slam import Scan, SlamOutput, SlamPipeline
 
 LAYOUT, SEED = "paper", 0
 FIRST_SCANS = 120  # figures 2 and 3 are of one of these
@@ -135,18 +133,15 @@ def length_of(stretches: list[Array]) -> float:
 
 def recognised_polygon(outputs: list[SlamOutput], pipeline: SlamPipeline) -> tuple[int, dict[str, Centre]]:
     """The scan that recognised the polygon with most vertices, and that polygon in the scan and in the final map."""
-    best, centres = -1, dict[str, Centre]()
-    for step, output in enumerate(outputs):
-        ids = [output.match.ids[polygon.corners] for polygon in output.polygons]
-        known = [k for k in range(len(ids)) if len(ids[k]) and all(pipeline.filter.has(int(i)) for i in ids[k])]
-        for k in known:
-            if output.match.polygon >= 0 and (not centres or len(ids[k]) > len(centres["map"].points)):
-                centres = {
-                    "scan": in_the_scan(output.polygon_corners, output.polygons[k].corners),
-                    "map": in_the_map(pipeline.filter, ids[k]),
-                }
-                best = step
-    return best, centres
+    seen = [
+        (step, polygon.corners, output.match.ids[polygon.corners])
+        for step, output in enumerate(outputs)
+        for polygon in output.polygons
+        if output.match.polygon >= 0
+    ]
+    known = [one for one in seen if all(pipeline.filter.has(int(i)) for i in one[2])]
+    step, corners, ids = max(known, key=lambda one: len(one[2]))
+    return step, {"scan": in_the_scan(outputs[step].polygon_corners, corners), "map": in_the_map(pipeline.filter, ids)}
 
 
 def hits_of(shown: Shown, sweeps: slice) -> Figures:

@@ -8,11 +8,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from itertools import chain
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
 from benchmarks.tables import table_of
 from mecp_env.core.carriers import Array
@@ -38,7 +37,6 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Times of all filters, and their NEES and error for every reading of the paper's odometry noise."""
-    load_modules(options.modules)
     runs = 8 if options.quick else 60
     cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
     nees: Figures = {reading: {} for reading in READINGS}
@@ -100,7 +98,7 @@ def sensor_cov(count: int) -> Array:
 
 
 def report(figures: Figures) -> str:
-    """Tables of the times and of the consistency, of what was measured."""
+    """Tables of the times and of the consistency."""
     times = {f"{kind}, {count}": us for kind, sizes in figures["time_us"].items() for count, us in sizes.items()}
     nees = {
         f"{reading}, {kind}": {name: estimated["value"] for name, estimated in row.items()}
@@ -110,11 +108,7 @@ def report(figures: Figures) -> str:
     return f"{_rounded('us, landmarks', times, 1)}\n\n{_rounded('NEES (3 expected)', nees, 2)}"
 
 
-def _rounded(head: str, rows: Mapping[str, Mapping[str, float | None]], digits: int) -> str:
-    """A table of numbers with so many digits behind the point; what a row lacks is a dash."""
-    columns = list(dict.fromkeys(chain.from_iterable(rows.values())))
-    texts = {
-        name: {column: f"{value:.{digits}f}" for column, value in row.items() if value is not None}
-        for name, row in rows.items()
-    }
-    return table_of(head, columns, texts)
+def _rounded(head: str, rows: Mapping[str, Mapping[str, float]], digits: int) -> str:
+    """A table of numbers with so many digits behind the point."""
+    texts = {name: {key: f"{value:.{digits}f}" for key, value in row.items()} for name, row in rows.items()}
+    return table_of(head, next(iter(texts.values())), texts)

@@ -12,6 +12,7 @@ import os
 import sys
 import time
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any
 
 import gymnasium
@@ -24,6 +25,7 @@ BEAMS = 720
 PATH, KIND, ROOM, LEVEL, VALID = 2, 4, 5, 6, 8  # columns of the observation's goals
 DOOR = 3  # kind of a goal
 STEPS_OF_START = 30
+EPISODE = 10  # blocks; an episode may end earlier by itself
 
 
 class Compilations(event.Listener):  # type: ignore[misc]
@@ -44,22 +46,25 @@ class BlockDriver:
     def __init__(self, actions: str, sweeps: int) -> None:
         kind = {"random": "velocity", "breadth_first": "goal"}[actions]
         self.env = gymnasium.make("mecp_env/PaperMap-v0", actions=kind, laser={"sweeps": sweeps, "beams": BEAMS})
-        self.actions = actions
+        self.actions, self.blocks, self.over = actions, 0, True
         self.compilations = Compilations()
         event.register("numba:compiler_lock", self.compilations)
 
-    def reset(self, seed: int) -> dict[str, Any]:
+    def reset(self, seed: int) -> None:
         """Start the episode of a seed."""
         self.observation, info = self.env.reset(seed=seed)
         self.count, self.over = control_steps(info), False
         self.commands = random_commands(seed)
-        return {}
 
     def drive(self, steps: int) -> dict[str, Any]:
         """Drive on for at least so many control steps: how many, in how many CPU seconds, and with what result.
 
-        `compiled` is true where a function was compiled or loaded on the way.
+        A new episode starts where the last one ended, and after ten blocks. `compiled` is true where a function was
+        compiled or loaded on the way.
         """
+        if self.over or self.blocks % EPISODE == 0:
+            self.reset(self.blocks)
+        self.blocks += 1
         self.compilations.noted = False
         first, seconds = self.count, 0.0
         while self.count < first + steps and not self.over:
@@ -72,7 +77,6 @@ class BlockDriver:
         return {
             "steps": self.count - first,
             "seconds": seconds,
-            "over": self.over,
             "compiled": self.compilations.noted,
             "digest": digest.hexdigest(),
         }
@@ -133,13 +137,14 @@ def answer_calls(driver: BlockDriver) -> None:
     """Read `[method, arguments...]` per line, answer with the result in one line, until the input ends."""
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the tree prints is no answer
-    print(json.dumps({"package": mecp_env.__file__}), file=answers, flush=True)
     for line in sys.stdin:
         method, *arguments = json.loads(line)
         print(json.dumps(getattr(driver, method)(*arguments)), file=answers, flush=True)
 
 
 if __name__ == "__main__":
+    if Path.cwd() not in Path(mecp_env.__file__).parents:
+        sys.exit(f"it imported {mecp_env.__file__}, not the package in {Path.cwd()}")
     if sys.argv[1] == "start":
         first_start()
     else:

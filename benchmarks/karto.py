@@ -7,7 +7,6 @@ Grisetti, R. Kuemmerle, W. Burgard, B. Limketkai and R. Vincent, "Efficient spar
 
 from __future__ import annotations
 
-import importlib.util
 import math
 import time
 from typing import Any, NamedTuple
@@ -31,11 +30,6 @@ class KartoRun(NamedTuple):
     final: Array  # (n,3) m, rad: after the last optimum of the graph
     ms_per_scan: float  # mean processor time
     loops: int  # that were closed
-
-
-def installed() -> bool:
-    """True when the package is there."""
-    return importlib.util.find_spec(PACKAGE) is not None
 
 
 def run(log: Log, rows: Ints, T_odom_robot: Array) -> KartoRun:

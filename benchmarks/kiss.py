@@ -19,7 +19,6 @@ life of a process, so that both have the same.
 
 from __future__ import annotations
 
-import importlib.util
 import math
 from dataclasses import dataclass, field
 from typing import Any
@@ -27,23 +26,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.common import from_extra
+from benchmarks.common import from_lab
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.association.cliques import candidate_pairs, jointly_compatible
 from mecp_env.slam.association.gating import one_to_one
 from mecp_env.slam.association.rivals import TableAssociator
-from mecp_env.slam.messages import (
-    Belief,
-    Cell,
-    Corners,
-    Decision,
-    MapView,
-    MergedScan,
-    Reason,
-    SemanticGrid,
-)
+from mecp_env.slam.messages import Belief, Cell, Corners, Decision, MapView, MergedScan, Reason, SemanticGrid
 from mecp_env.slam.protocols import Filter
 
 PACKAGE = "kiss_matcher"
@@ -118,14 +108,9 @@ class KissPointsAssociator(KissAssociator):
         return None if found is None else compose(T_map_guess, found)
 
 
-def installed() -> bool:
-    """Whether the package is there."""
-    return importlib.util.find_spec(PACKAGE) is not None
-
-
 def library() -> Any:
     """KISS-Matcher. Raises `OptionError` where it is not installed."""
-    return from_extra(PACKAGE, "the rows `kiss-matcher` need KISS-Matcher")
+    return from_lab(PACKAGE, "the rows `kiss-matcher` need KISS-Matcher")
 
 
 def _planar(solution: Any) -> Array | None:

@@ -71,8 +71,7 @@ def turned(cov: Array, angle: float) -> Array:
     """(3,3) covariance of x, y, heading in axes that are turned by -angle."""
     c, s = np.cos(angle), np.sin(angle)
     R = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    rotated: Array = R @ cov @ R.T
-    return rotated
+    return R @ cov @ R.T
 
 
 Correct = Callable[[Filter, Sighting, Odometry | None], None]  # by known landmarks, after a motion or at the start
@@ -83,20 +82,15 @@ def filtered(record: Record, estimate: Filter, correct: Correct) -> Iterator[Bel
     estimate.set_pose(record.start, record.start_cov)
     for motion, sighting in zip([None, *record.motions], record.sightings, strict=True):
         if motion is not None:
-            advance(estimate, motion)
+            estimate.predict(motion.odometry)
+        if motion is not None and motion.lacking is not None:
+            estimate.loosen(turned(motion.lacking, estimate.belief().T_map_robot[2]))
         known = np.isin(sighting.ids, estimate.ids)
         if known.any():
             correct(estimate, sighting.part(known), motion.odometry if motion else None)
         new = sighting.part(~known)
         estimate.augment(new.z, new.R, new.ids)
         yield estimate.belief()
-
-
-def advance(estimate: Filter, motion: Motion) -> None:
-    """Predict, and add the noise that the odometry lacks."""
-    estimate.predict(motion.odometry)
-    if motion.lacking is not None:
-        estimate.loosen(turned(motion.lacking, estimate.belief().T_map_robot[2]))
 
 
 def in_order(estimate: Filter) -> tuple[Array, Array]:

@@ -23,9 +23,9 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of
+from benchmarks.common import Figures, Gate, Options, is_installed, runs_of
 from benchmarks.drives import Drive
-from benchmarks.kiss import installed
+from benchmarks.kiss import PACKAGE
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
 from benchmarks.rough_pose import count_scans, drawn_looks, figures_of, finish, named
@@ -36,14 +36,14 @@ SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, d
 VARIANTS = rows_of(
     *(DEFAULT, "mecp without polygons", "mecp without descriptor", "mecp without both", "mecp without cliques"),
     *("mecp in one pass", "jcbb", "jcbb with descriptor", "jcbb with descriptor in two passes"),
-    *("jcbb with all of mecp", "ccda with descriptor", "clipper with descriptor", *(KISS if installed() else ())),
+    *("jcbb with all of mecp", "ccda with descriptor", "clipper with descriptor"),
+    *(KISS if is_installed(PACKAGE) else ()),
     *("nearest", "mecp_paper"),
 )
-SEEDS = {"paper": 20, "hard": 20, "twins": 20}  # drives
-SETS, MOST = tuple(SEEDS), 500
+SETS = {"paper": 20, "hard": 20, "twins": 20}  # drives
 FIRST_BUILDING, MAX_STEPS = 500, 10_000  # the buildings before are those of `worlds`
 SCANS = 20  # per drive
-QUICK_DRIVES, QUICK_SCANS = 2, 4
+QUICK_SCANS = 4
 WITHOUT_KISS = "KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing."
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
@@ -63,9 +63,8 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of every set, variant and sigma of the pose."""
-    load_modules(options.modules)
     scans = QUICK_SCANS if options.quick else SCANS
-    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SEEDS, MOST, QUICK_DRIVES)]
+    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SETS)]
     results = on_records(compare, dict[str, dict[str, Figures]], drives, options)
     return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
 

@@ -20,7 +20,7 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop
 from benchmarks.clutter import cluttered
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel, load_modules
+from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
@@ -50,7 +50,6 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Milliseconds by part, name and number of landmarks."""
-    load_modules(options.modules)
     kinds = [*KINDS.ours, *KINDS.others]
     methods = [name for name in associators() if name not in NOT_TIMED]
     tasks = [

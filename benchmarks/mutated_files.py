@@ -115,13 +115,9 @@ def text_file(name: str, text: Callable[[], str]) -> Callable[[Path], Path]:
 
 def csv() -> str:
     """The drive as a table."""
-    t, poses, ranges = drive()
-    head = ",".join(["t", "x", "y", "heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
-    rows = [
-        ",".join(f"{value:.4f}" for value in (stamp, *pose, *row))
-        for stamp, pose, row in zip(t, poses, ranges, strict=True)
-    ]
-    return "\n".join([head, *rows, ""])
+    text, head = io.StringIO(), ",".join(["t,x,y,heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
+    np.savetxt(text, np.column_stack(drive()), "%.4f", ",", header=head, comments="")
+    return text.getvalue()
 
 
 def dat() -> str:
@@ -259,11 +255,7 @@ KINDS: dict[str, Kind] = {
     "plan house": Kind(text_file("house.json", lambda: json.dumps(plans.house())), spoilt, use_plan),
     "plan yaml": Kind(lambda folder: plans.map_pair(folder, plans.two_rooms_picture()), spoilt, use_plan),
     "plan png": Kind(lambda folder: plans.save(plans.corridor_picture(), folder / "a.png"), spoilt, use_plan),
-    "plan svg": Kind(
-        lambda folder: save_svg(load_layout("two_rooms"), folder / "a.svg"),
-        other_bytes,
-        use_plan,
-    ),
+    "plan svg": Kind(lambda folder: save_svg(load_layout("two_rooms"), folder / "a.svg"), other_bytes, use_plan),
     "map bytes": Kind(write_map, other_bytes, use_map),
     "map fields": Kind(write_map, other_fields, use_map),
     "replay page": Kind(write_replay, other_page, use_page),

@@ -27,7 +27,7 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, load_modules, runs_of, share
+from benchmarks.common import Figures, Gate, Options, runs_of, share
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
@@ -99,8 +99,7 @@ AXES = {  # of the figure: sensor -> cells and their names
     "beams": {BASE: "720", "beams_360": "360", "beams_180": "180", "beams_90": "90"},
     "steps with slip": {BASE: "0", "slip_1_pct": "1 %", "slip_5_pct": "5 %"},
 }
-DRIVES = dict.fromkeys(CELLS, 20)
-SETS, MOST, QUICK_DRIVES = tuple(CELLS), 1000, 2
+SETS = dict.fromkeys(CELLS, 20)
 
 GATES = tuple(
     Gate(f"{cell}/{DEFAULT}/{figure}", kind, slack)  # type: ignore[arg-type]
@@ -111,8 +110,7 @@ GATES = tuple(
 
 def run(options: Options) -> Figures:
     """Results of every cell and variant."""
-    load_modules(options.modules)
-    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
+    drives = runs_of(options, SETS)
     in_turn = sorted(drives, key=lambda drive: (drive[1], source(drive[0])))  # cells of one recording in succession
     results = on_records(compare, dict[str, Figures], in_turn, options)
     return {cell: {name: summarise(own) for name, own in by_row(results[cell]).items()} for cell in dict(drives)}

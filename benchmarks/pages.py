@@ -1,4 +1,7 @@
-"""Writes the page of every result again, from its file: `python -m benchmarks.pages`."""
+"""Writes again what follows from the files of results: pages, tables of documents, reference rows of the package.
+
+python -m benchmarks.pages
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+from benchmarks import policy_tables
 from benchmarks.common import RESULTS, page_of
 
 
@@ -24,6 +28,10 @@ def main() -> int:
     """Write them."""
     for path, page in pages():
         path.with_suffix(".md").write_text(page)
+    for document in policy_tables.DOCUMENTS:
+        document.write_text(policy_tables.updated(document.read_text(), policy_tables.tables()))
+    for path, rows in policy_tables.reference_rows().items():
+        path.write_text(rows)
     return 0
 
 

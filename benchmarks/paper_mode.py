@@ -13,13 +13,12 @@ from typing import Any
 
 from benchmarks import association
 from benchmarks.association import IDEAL
-from benchmarks.common import Figures, Gate, Options, runs_of
-from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.tables import by_row, columns_of, ratios, sections, table_of
+from benchmarks.common import Figures, Gate, Options
+from benchmarks.records import IN_MEMORY, Records, on_drives
+from benchmarks.tables import columns_of, ratios, sections, table_of
 from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
-SEEDS = {"paper": 60, IDEAL: 15}
-SETS, MOST = tuple(SEEDS), 1000
+SETS = {"paper": 60, IDEAL: 15}
 RULE, DOBKIN = "mecp_paper", f"{LETTER} with dobkin"
 CHANGES: dict[str, dict[str, Any]] = {  # one choice at a time
     "posts as landmarks": {"use_posts": True},
@@ -45,8 +44,8 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of both readings and every row."""
-    runs = on_records(measure, dict[str, Figures], runs_of(options, SEEDS, MOST, 2), options)
-    return {layout: {name: summary(own) for name, own in by_row(of).items()} for layout, of in runs.items()}
+    runs = on_drives(measure, SETS, options)
+    return {layout: {name: summary(own) for name, own in rows.items()} for layout, rows in runs.items()}
 
 
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:

@@ -8,13 +8,13 @@ without resets. A ratio compares the blocks of the same turn.
 from __future__ import annotations
 
 import contextlib
-import importlib.util
 import io
 import math
 import sys
 import tempfile
 import time
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ import numpy as np
 import shapely
 import yaml
 
-from benchmarks.common import Figures, in_turns, ratio
+from benchmarks.common import Figures, in_turns, is_installed, ratio
 from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array
@@ -31,28 +31,16 @@ from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
 
 ACTIONS = ("random", "breadth_first")
-EPISODE = 10  # blocks; an episode may end earlier by itself
 BLOCK = 100  # steps of ours
 STEP_S = 0.4
 
 Block = Callable[[], tuple[int, float]]  # drives a block: steps, CPU seconds
 
 
-class Ours:
-    """The environment of this tree with one kind of action."""
-
-    def __init__(self, sweeps: int, actions: str) -> None:
-        self.driver = BlockDriver(actions, sweeps)
-        self.blocks = 0
-        self.driver.reset(0)
-
-    def __call__(self) -> tuple[int, float]:
-        """Drive a block, in a new episode where the last one ended; again where a function was compiled on the way."""
-        if self.driver.over or self.blocks % EPISODE == 0:
-            self.driver.reset(self.blocks)
-        self.blocks += 1
-        done = self.driver.drive(BLOCK)
-        return self() if done["compiled"] else (done["steps"], done["seconds"])
+def our_block(driver: BlockDriver) -> tuple[int, float]:
+    """Drive a block in the environment of this tree; again where a function was compiled on the way."""
+    done = driver.drive(BLOCK)
+    return our_block(driver) if done["compiled"] else (done["steps"], done["seconds"])
 
 
 class MiniGrid:
@@ -134,7 +122,8 @@ def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
     peers = installed()
     if not peers:
         return {}
-    drivers: dict[Any, Block] = peers | {(k, kind): Ours(k, kind) for k in sweeps for kind in ACTIONS}
+    ours = {(k, kind): partial(our_block, BlockDriver(kind, k)) for k in sweeps for kind in ACTIONS}
+    drivers: dict[Any, Block] = peers | ours
     for drive in drivers.values():
         drive()  # loads compiled functions
     blocks = in_turns(drivers, turns)
@@ -149,7 +138,7 @@ def installed() -> dict[Any, Block]:
     """The peers that can be imported; a line on stderr about each of the others."""
     found: dict[Any, Block] = {}
     for kind in (MiniGrid, IrSim):
-        if importlib.util.find_spec(kind.package):
+        if is_installed(kind.package):
             found[kind.name] = kind()
         else:
             print(f"{kind.name} is not installed (extra `peers`): no comparison", file=sys.stderr)
@@ -158,11 +147,7 @@ def installed() -> dict[Any, Block]:
 
 def compared(ours: Array, theirs: Array) -> Figures:
     """Our steps per second over the peer's, and both, from the seconds per step in each turn."""
-    return {
-        "ratio": ratio(theirs, ours),
-        "steps_per_s": 1.0 / ours.mean(),
-        "peer_steps_per_s": 1.0 / theirs.mean(),
-    }
+    return {"ratio": ratio(theirs, ours), "steps_per_s": 1.0 / ours.mean(), "peer_steps_per_s": 1.0 / theirs.mean()}
 
 
 def report(figures: Figures) -> str:

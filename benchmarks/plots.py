@@ -33,14 +33,14 @@ def line_panels(panels: Mapping[str, Panel], y: str, log: bool = False) -> Figur
     return panel_rows({"": panels}, y, log)
 
 
-def panel_rows(rows: Mapping[str, Mapping[str, Panel]], y: str, log: bool = False) -> Figure:
+def panel_rows(rows: Mapping[str, Mapping[str, Panel]], y: str, log: bool = False, sharey: bool = True) -> Figure:
     """Rows of panels per name of the x axis, in them a panel per title as of `line_panels`, and one legend below."""
     places = [(x, part) for x, panels in rows.items() for part in in_rows(list(panels.items()))]
     across = max(len(part) for _, part in places)
     names = max(len(panel.lines) for _, part in places for _, panel in part)
     height = PANEL_IN[1] * len(places) + LEGEND_LINE_IN * -(-names // MOST_ACROSS)
     figure = Figure(figsize=(PANEL_IN[0] * across, height), layout="constrained")
-    grid = figure.subplots(len(places), across, sharey=True, squeeze=False)
+    grid = figure.subplots(len(places), across, sharey=sharey, squeeze=False)
     for all_axes, (x, part) in zip(grid, places, strict=True):
         for axes, (title, panel) in zip(all_axes, part, strict=False):
             draw_lines(axes, panel)
@@ -49,7 +49,7 @@ def panel_rows(rows: Mapping[str, Mapping[str, Panel]], y: str, log: bool = Fals
             axes.remove()
         all_axes[0].set_ylabel(y)
     for axes in figure.axes:  # after the lines: a log scale over a single value has no limits to draw the next one in
-        if log:
+        if log and np.isfinite(axes.dataLim.minposy):  # something is above 0
             axes.set_yscale("log")
             axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
             axes.yaxis.set_minor_formatter(NullFormatter())
@@ -76,16 +76,4 @@ def draw_lines(axes: Axes, panel: Panel) -> None:
         looks: dict[str, Any] = {"color": unit(colour), "marker": marker, "linestyle": dashes}
         axes.errorbar(at, value, bars, label=name, markersize=5, capsize=2, linewidth=1.3, **looks)
     axes.set(xticks=range(len(panel.ticks)), xticklabels=panel.ticks)
-    axes.grid(alpha=0.3)
-
-
-def draw_bands(axes: Axes, panel: Panel) -> None:
-    """Draw the lines of a panel, told apart by marker, dashes and grey, and their 95 % intervals as bands."""
-    at = np.arange(len(panel.ticks))
-    for k, (name, estimates) in enumerate(panel.lines.items()):
-        value, low, high = (np.array([e[end] for e in estimates], float) for end in ("value", "low", "high"))
-        marker, dashes, grey = (choices[k % len(choices)] for choices in (MARKERS, DASHES, GREYS))
-        axes.plot(at, value, label=name, marker=marker, markersize=4, linestyle=dashes, color=grey, linewidth=1.2)
-        axes.fill_between(at, low, high, color=grey, alpha=0.15, linewidth=0.0)
-    axes.set(xticks=at, xticklabels=panel.ticks)
     axes.grid(alpha=0.3)

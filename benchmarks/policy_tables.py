@@ -1,17 +1,19 @@
-"""The tables of README.md and docs/submissions.md, from results: `python -m benchmarks.policy_tables`.
+"""What follows from results of policies: tables of README.md and docs/submissions.md, and rows of the package.
 
-The price of uncertainty follows from results/task_*_price.json, the frozen benchmarks from results/suites/*.json. The
-tables are between `<!-- policies: NAME -->` and `<!-- end -->`; no figure is copied by hand.
+`python -m benchmarks.pages` writes them. The price of uncertainty follows from results/task_*_price.json, the frozen
+benchmarks from results/suites/*.json. The tables are between `<!-- policies: NAME -->` and `<!-- end -->`; no figure is
+copied by hand.
 """
 
 from __future__ import annotations
 
 import json
 import re
-import sys
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
-from benchmarks.common import RESULTS, Figures
+from benchmarks.common import RESULTS, Figures, estimate, share
 from mecp_env.policies import suites
 from mecp_env.policies.report import cell, markdown_table
 
@@ -21,6 +23,7 @@ PRICE_RESULTS = tuple(RESULTS / f"task_{name}_price.json" for name in TASKS)  # 
 GREEDY = ("nearest", "next_best_view")  # explorers that know no uncertainty, whose price is shown
 SUITE_RESULTS = RESULTS / "suites"  # a file of `mecp-env evaluate --suite` for each submission
 DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "submissions.md")
+SHARES, DIGITS = ("lost", "complete"), 4  # of reference rows
 HEADLINE_METRIC = "correct_over_steps"
 PLACE = re.compile(r"(<!-- policies: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -67,12 +70,56 @@ def updated(text: str, parts: dict[str, str]) -> str:
     return PLACE.sub(lambda place: f"{place[1]}{parts[place[2]]}\n{place[3]}", text)
 
 
-def main() -> int:
-    """Update the documents."""
-    for path in DOCUMENTS:
-        path.write_text(updated(path.read_text(), tables()))
-    return 0
+def reference_rows() -> dict[Path, str]:
+    """The content of each file of reference rows that the package contains, a file for each suite.
+
+    A suite takes its own results, and those of a larger suite whose first buildings are the same.
+    """
+    contents = [suites.read_submission(path) for path in sorted(SUITE_RESULTS.glob("*.json"))]
+    return {
+        suites.FOLDER / f"{name}.json": json.dumps(
+            {"suite": name, "hash": suite.frozen, "results": rows_of(name, suite, contents)}, separators=(",", ":")
+        )
+        + "\n"
+        for name, suite in suites.SUITES.items()
+    }
 
 
-if __name__ == "__main__":
-    sys.exit(main())
+def rows_of(name: str, suite: suites.Suite, contents: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of a suite; its own result replaces that of a larger suite."""
+    usable = [content for content in contents if settings_in(suite, suites.SUITES[content["suite"]])]
+    ordered = sorted(usable, key=lambda content: content["suite"] == name)
+    rows = rows_of_references(ordered, suite.episodes, suite.tasks)
+    return list({(row["task"], row["policy"], row["estimator"]): row for row in rows}.values())
+
+
+def settings_in(small: suites.Suite, large: suites.Suite) -> bool:
+    """True when every episode of a suite is one of another suite."""
+    return set(map(str, small.settings)) <= set(map(str, large.settings)) and small.episodes <= large.episodes
+
+
+def rows_of_references(
+    submissions: Iterable[Mapping[str, Any]], first: int, tasks: Sequence[str]
+) -> list[dict[str, Any]]:
+    """The rows of references, from results of submissions: the first so many buildings of those tasks.
+
+    So a result of a large suite gives the row of a smaller one whose buildings are the first of the same.
+    """
+    return [
+        {"task": row["task"], "policy": row["policy"], "estimator": row["estimator"], "figures": compact(row, first)}
+        | {name: content[name] for name in suites.TRAINING if content.get(name) is not None}
+        for content in submissions
+        for row in content["results"]
+        if row["task"] in tasks and len(row["episodes"]) >= first
+    ]
+
+
+def compact(row: Mapping[str, Any], first: int) -> dict[str, dict[str, float]]:
+    """The figures of the first episodes of a row, with few digits."""
+    episodes = sorted(row["episodes"], key=lambda episode: episode["building"])[:first]
+    figures = {}
+    for name in row["figures"]:
+        values = [episode[name] for episode in episodes]
+        found = share(value > 0.5 for value in values) if name in SHARES else estimate(values)
+        figures[name] = {end: round(found[end], DIGITS) for end in ("value", "low", "high")}
+    return figures

@@ -24,21 +24,18 @@ class Centre:
     def blocks(self) -> Array:
         """(k,2,2) m^2: the covariance of each vertex."""
         k = len(self.points)
-        blocks: Array = self.cov.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)]
-        return blocks
+        return self.cov.reshape(k, 2, k, 2)[np.arange(k), :, np.arange(k)]
 
     @property
     def mean(self) -> Array:
         """(2,) m: the centre (eq. 2)."""
-        mean: Array = self.points.mean(axis=0)
-        return mean
+        return self.points.mean(axis=0)
 
     @property
     def mean_cov(self) -> Array:
         """(2,2) m^2: covariance of the centre (eq. 3), all cross terms of the vertices included."""
         k = len(self.points)
-        mean_cov: Array = self.cov.reshape(k, 2, k, 2).sum(axis=(0, 2)) / k**2
-        return mean_cov
+        return self.cov.reshape(k, 2, k, 2).sum(axis=(0, 2)) / k**2
 
     @property
     def variance_share(self) -> float:

@@ -44,8 +44,7 @@ URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
 VIEW_DEG = 180.0
 STEPS_PER_M2 = 10.0
 MAPS = Path("runs/real")  # of each log, and of the first start in each plan
-COUNTS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
-SETS, MOST = tuple(COUNTS), 100
+SETS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
 QUICK = {PLANS: 1, EXPLORED: 1, "fr079": 1, "csail_raw": 1, VIEW: 1, "urg04lx_paper": 1}
 QUICK_PLANS, QUICK_SCANS = ("0a1b29dba355df2ab02630133187bfab", "50052752", "skirk"), 300
 
@@ -69,7 +68,7 @@ Task = tuple[str, str, int]  # set, plan or number of scans or layout, start or 
 
 def run(options: Options) -> Figures:
     """Results of every set that there are data for."""
-    counts = chosen(options.sets, COUNTS, MOST) or (QUICK if options.quick else COUNTS)
+    counts = chosen(options.sets, SETS) or (QUICK if options.quick else SETS)
     skipped = {name: f"no {at}" for name in counts if (at := missing(name))}
     sys.stderr.writelines(f"{name}: skipped, {reason}\n" for name, reason in skipped.items())
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]

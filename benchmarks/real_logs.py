@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import karto
-from benchmarks.common import Figures, estimate
+from benchmarks.common import Figures, estimate, is_installed
 from benchmarks.real_maps import MapData
 from mecp_env.core.se2 import composed
 from mecp_env.evaluation.calibration import calibrate_log
@@ -33,15 +33,15 @@ LOGS: dict[str, LogSet] = {
     "intel_raw": LogSet(calibrated=True),
     "csail_raw": LogSet(calibrated=True),
 }
+ERRORS = ("relations_m", "relations_deg", "relations_at_scans_m", "relations_at_scans_deg", "ate_m", "ate_deg")
+FINAL_ERRORS = tuple(f"final_{name}" for name in ERRORS)
 COLUMNS = (
-    *("relations_m", "relations_deg", "relations_at_scans_m", "relations_at_scans_deg", "ate_m", "ate_deg"),
+    *ERRORS,
     *("dead_reckoning_ate_m", "landmarks", "landmarks_dropped", "rooms", "doors", "polygon_share", "localised_share"),
     *("log_share", "ms_per_scan_median", "ms_per_scan_mean"),
-    *("final_relations_m", "final_relations_deg", "final_relations_at_scans_m", "final_relations_at_scans_deg"),
-    *("final_ate_m", "final_ate_deg", "final_converged", "final_steps", "final_s"),
+    *(*FINAL_ERRORS, "final_converged", "final_steps", "final_s"),
 )
-ERRORS = ("relations_m", "relations_deg", "relations_at_scans_m", "relations_at_scans_deg", "ate_m", "ate_deg")
-RIVAL = tuple(f"karto_{name}" for name in (*ERRORS, *(f"final_{name}" for name in ERRORS), "ms_per_scan_mean", "loops"))
+RIVAL = tuple(f"karto_{name}" for name in (*ERRORS, *FINAL_ERRORS, "ms_per_scan_mean", "loops"))
 
 
 def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tuple[Figures, MapData]:
@@ -55,7 +55,7 @@ def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tup
 
 def rival_of(run: LogRun) -> Figures:
     """Figures of OpenKarto on the same scans and odometry; nothing where it is not installed."""
-    if not karto.installed():
+    if not is_installed(karto.PACKAGE):
         return {}
     rows = np.searchsorted(run.log.t, run.t)
     raw = run.log.T_odom_robot  # without it, odometry was made of the reference path

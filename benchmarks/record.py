@@ -21,21 +21,21 @@ from mecp_env.core.provenance import checksum
 
 ALL, QUICK = 1000, 2  # drives of each set
 COURSES: dict[str, Callable[[int], list[Course]]] = {  # of the benchmarks, with so many drives of each set
-    "association": lambda most: courses_of(association.course, association.SEEDS, most),
-    "association_time": lambda most: courses_of(loop.course, association_time.SEEDS, most),
-    "clutter": lambda most: courses_of(clutter.course, clutter.DRIVES, most),
-    "consistency": lambda most: courses_of(consistency.course, consistency.DRIVES, most),
+    "association": lambda most: courses_of(association.course, association.SETS, most),
+    "association_time": lambda most: courses_of(loop.course, association_time.SETS, most),
+    "clutter": lambda most: courses_of(clutter.course, clutter.SETS, most),
+    "consistency": lambda most: courses_of(consistency.course, consistency.SETS, most),
     "kidnap": lambda most: [
         kidnap.course(layout, seed, start)
-        for layout, count in kidnap.SEEDS.items()
+        for layout, count in kidnap.SETS.items()
         for seed in range(min(count, most))
         for start in (seed, seed + kidnap.SECOND_DRIVE)
     ],
-    "loop": lambda most: courses_of(loop.course, loop.SEEDS, most),
-    "noise": lambda most: courses_of(noise.course, dict.fromkeys(noise.RECORDED, noise.DRIVES[noise.BASE]), most),
-    "sensors": lambda most: courses_of(sensors.course, sensors.DRIVES, most),
+    "loop": lambda most: courses_of(loop.course, loop.SETS, most),
+    "noise": lambda most: courses_of(noise.course, dict.fromkeys(noise.RECORDED, noise.SETS[noise.BASE]), most),
+    "sensors": lambda most: courses_of(sensors.course, sensors.SETS, most),
 }
-SETS, MOST = tuple(COURSES), ALL
+SETS = dict.fromkeys(COURSES, ALL)
 
 
 def courses_of(course: Callable[[str, int], Course], counts: dict[str, int], most: int) -> list[Course]:
@@ -45,9 +45,7 @@ def courses_of(course: Callable[[str, int], Course], counts: dict[str, int], mos
 
 def run(options: Options) -> Figures:
     """What was recorded, by benchmark; a record of two benchmarks counts in both."""
-    counts = chosen(options.sets, dict.fromkeys(COURSES, ALL), MOST) or dict.fromkeys(
-        COURSES, QUICK if options.quick else ALL
-    )
+    counts = chosen(options.sets, SETS, ALL) or dict.fromkeys(COURSES, QUICK if options.quick else ALL)
     drives = [(name, most, index) for name, most in counts.items() for index in range(len(COURSES[name](most)))]
     made = in_parallel(partial(make, Records(options.records)), Figures, drives, options)
     return {name: summarise(of_name) for (name, _), of_name in grouped(drives, made).items()}

@@ -11,7 +11,6 @@ import hashlib
 import io
 import json
 import re
-import zipfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
@@ -21,11 +20,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Options, grouped, in_parallel, shared_data
+from benchmarks.common import Figures, Options, grouped, in_parallel, runs_of, shared_data
 from benchmarks.drives import Drive, record_drive
+from benchmarks.tables import by_row
 from mecp_env import __version__
 from mecp_env.core.errors import MecpError
-from mecp_env.core.files import read_bytes, write_atomic
+from mecp_env.core.files import write_atomic
 from mecp_env.core.provenance import checksum, dependencies
 from mecp_env.core.sensors import LaserView, Odometry, Scan
 from mecp_env.core.snapshot_file import FileKind, check_header
@@ -41,7 +41,6 @@ from mecp_env.world.schema import Layout
 
 KIND = FileKind("mecp_env record", 1, __version__)
 HEADER = "header"
-MOST_BYTES = 2**31  # of the file, and unpacked
 ARRAYS = (  # in the order of the content hash
     "ranges",  # (scans,sweeps,beams) m
     "hit",  # (scans,sweeps,beams)
@@ -58,7 +57,7 @@ Header = dict[str, Any]
 
 
 class RecordError(MecpError):
-    """A record is damaged, of another format or version, too large, or of another drive."""
+    """A record is damaged, of another format or version, or of another drive."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,6 +126,14 @@ def on_records(task: Callable[..., Any], kind: Any, units: Sequence[Any], option
     return grouped(units, in_parallel(partial(task, records=Records(options.records)), kind, units, options))
 
 
+def on_drives(
+    task: Callable[..., dict[str, Figures]], sets: Mapping[str, int], options: Options
+) -> dict[str, dict[str, list[Figures]]]:
+    """By set and row, what `task` gives for each drive: figures by row. A part of the time gives a part of each set."""
+    drives = sorted(runs_of(options, sets), key=lambda drive: drive[1])
+    return {name: by_row(runs) for name, runs in on_records(task, dict[str, Figures], drives, options).items()}
+
+
 def save_record(path: Path, header: Header, arrays: Arrays) -> None:
     """Write a record, whole or not at all. Raises `RecordError`."""
     header = {**KIND._asdict(), **header}
@@ -141,15 +148,7 @@ def save_record(path: Path, header: Header, arrays: Arrays) -> None:
 
 def load_record(path: Path) -> tuple[Header, Arrays]:
     """What `save_record` wrote. Raises `RecordError`, and whatever damaged bytes raise."""
-    data = io.BytesIO(read_bytes(path, MOST_BYTES))
-    if not zipfile.is_zipfile(data):
-        raise RecordError(f"no {KIND.format}, or cut short")
-    with zipfile.ZipFile(data) as archive:
-        size = sum(member.file_size for member in archive.infolist())
-    if size > MOST_BYTES:
-        raise RecordError(f"it has {size} bytes unpacked, at most {MOST_BYTES}")
-    data.seek(0)
-    with np.load(data, allow_pickle=False) as archive:
+    with np.load(path, allow_pickle=False) as archive:
         arrays = dict(archive)
     header: Header = json.loads(arrays.pop(HEADER).tobytes())
     check_header(header, KIND)
@@ -181,7 +180,6 @@ def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
         "bumper": np.array([odometry is not None and odometry.bumper for odometry in drive.odometry]),
         "T_world_robot": np.array(drive.T_world_robot),
     }
-    scans, sweeps, beams = arrays["ranges"].shape
     header = {
         "course": asdict(course),
         "layout": course.building().model_dump(mode="json"),
@@ -189,7 +187,6 @@ def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
         "max_range_m": first.max_range_m,
         "slam": drive.slam.model_dump(mode="json"),  # the estimator during the drive
         "made_by": dependencies(),  # code, libraries and machine
-        "lengths": {"scans": scans, "sweeps": sweeps, "beams": beams, "readings": len(arrays["increments"])},
     }
     return header, arrays
 

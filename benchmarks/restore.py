@@ -23,6 +23,7 @@ import numpy as np
 import mecp_env
 from benchmarks import restore_logs
 from benchmarks.common import Figures, Gate, Options, in_parallel
+from benchmarks.random_actions import goal, velocity
 from benchmarks.restore_logs import described, restored, same
 from benchmarks.tables import listed, table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
@@ -97,20 +98,15 @@ def building_of(name: str, rng: np.random.Generator) -> dict[str, Any]:
     return {}
 
 
-def setting_of(rng: np.random.Generator) -> tuple[str, dict[str, Any]]:
-    """A random id with its keywords."""
-    name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
-    fields = one_of(CHOICES, rng) | {"slam": slam_of(rng), "max_steps": int(rng.integers(5, 300))}
-    return name, fields | building_of(name, rng)
-
-
 def failure_of(unit: tuple[int]) -> str:
     """What is wrong with the run of a number, empty when nothing is."""
     (number,) = unit
     rng = np.random.default_rng([39, number])
     if number % LOG_EVERY == LOG_EVERY - 1 and restore_logs.logs_at_hand():
         return restore_logs.failure_of(number, rng, slam_of(rng))
-    name, fields = setting_of(rng)
+    name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
+    fields = one_of(CHOICES, rng) | {"slam": slam_of(rng), "max_steps": int(rng.integers(5, 300))}
+    fields |= building_of(name, rng)
     steps, lost = int(rng.integers(0, 100)), bool(rng.random() < 0.2)
     what = f"{number}: {name} {fields} after {steps} steps{', lost' * lost}"
     return described(what, lambda: fault_of(*pair_of(name, fields), rng, steps, lost))
@@ -151,13 +147,10 @@ def drive(env: Any, rng: np.random.Generator, steps: int) -> bool:
 
 
 def action_of(env: Any, rng: np.random.Generator) -> Any:
-    """A goal that may be chosen, or a velocity."""
+    """A random action, among the goals one that may be chosen."""
     if env.unwrapped.config.actions == "discrete":
         return int(rng.integers(env.action_space.n))
-    if env.unwrapped.config.actions == "velocity":
-        return rng.uniform([0.0, -1.0], [1.0, 1.0]).astype(np.float32)
-    goals = np.flatnonzero(env.get_wrapper_attr("action_masks")())
-    return int(rng.choice(goals)) if len(goals) else 0
+    return (goal if env.unwrapped.config.actions == "goal" else velocity)(env, rng)
 
 
 def after_fault(env: Any, other: Any, rng: np.random.Generator, going: bool) -> str:

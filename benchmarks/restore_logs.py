@@ -17,6 +17,7 @@ from mecp_env.logs import Log, read_log
 from mecp_env.slam import SlamPipeline
 
 MOST, MORE = 60, 4  # scans before the map is kept, and after
+log_of = lru_cache(2)(read_log)  # the runs of a process share a log
 NAMES = (
     *("fr079.npz", "intel_raw.npz", "csail_raw.npz"),
     *("orebro-corrected.log.gz", "edmonton-corrected.log.gz", "freiburg-101-corrected.log.gz"),
@@ -27,12 +28,6 @@ def logs_at_hand() -> list[Path]:
     """The logs of buildings in `shared/data/logs` beside the repository, none elsewhere."""
     folder = shared_data("logs")
     return [path for name in NAMES if folder is not None and (path := folder / name).is_file()]
-
-
-@lru_cache(2)
-def log_of(path: Path) -> Log:
-    """A log, which the runs of a process share."""
-    return read_log(path)
 
 
 def failure_of(number: int, rng: np.random.Generator, slam: dict[str, Any]) -> str:

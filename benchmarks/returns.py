@@ -18,11 +18,11 @@ from typing import Any
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, Gate, Options, buildings_of, correlation, estimate, grouped, in_parallel, ratio
+from benchmarks.common import Figures, Gate, Options, correlation, estimate, ratio
+from benchmarks.policy_runs import buildings_of, checked, rows_of
 from benchmarks.tables import table
 from mecp_env.episode.tasks import TASKS
-from mecp_env.policies.registry import make_policy, policy_checksum, source_of
-from mecp_env.policies.rollout import EpisodeTask, run_episode
+from mecp_env.policies.evaluation import Evaluation, Row
 from mecp_env.policies.setting import Setting
 
 GOALS = ("random_goal", "nearest", "gain", "next_best_view", "maskable_ppo")
@@ -34,63 +34,37 @@ SETTINGS: dict[str, Setting] = {
     **{name: Setting("", "test", "slam", fields["max_steps"], name) for name, fields in TASKS.items()},
 }
 SETS = tuple(SETTINGS)
-BUILDINGS, QUICK_BUILDINGS, MOST = 20, 2, 1000
+BUILDINGS, QUICK_BUILDINGS = 20, 2
 COVERAGE, CORRECT = "coverage_over_steps", "correct_over_steps"
-KEPT = ("reward", COVERAGE, CORRECT)
 GATES = tuple(Gate(f"tasks/{name}/tau_apart", "share", 0.1) for name in ("medium", "ActiveHalls-v0"))
 REFERENCE, RANDOM = "nearest", "random_goal"
-
-Unit = tuple[str, str, str, int]  # setting, policy, its checksum, building
 
 
 def run(options: Options) -> Figures:
     """The figures of each task."""
-    units = units_of(options)
-    found: dict[str, dict[str, list[dict[str, float]]]] = {}
-    for (name, policy, _), episodes in grouped(units, in_parallel(episode, dict[str, float], units, options)).items():
-        found.setdefault(name, {})[policy] = episodes
-    return {"tasks": {name: summarise(name, policies) for name, policies in found.items()}}
-
-
-def units_of(options: Options) -> list[Unit]:
-    """All episodes."""
-    counts = buildings_of(options, SETTINGS, QUICK_BUILDINGS if options.quick else BUILDINGS, MOST)
-    return [
-        (name, policy, policy_checksum(policy), building)
+    counts = buildings_of(options, SETTINGS, QUICK_BUILDINGS if options.quick else BUILDINGS)
+    evaluations = {
+        name: Evaluation(policies_of(name, options), SETTINGS[name], buildings, known_pose=False)
         for name, buildings in counts.items()
-        for policy in policies_of(name, options)
-        for building in range(buildings)
-    ]
+    }
+    return {"tasks": {name: summarise(name, rows) for name, rows in rows_of(evaluations, options).items()}}
 
 
 def policies_of(name: str, options: Options) -> tuple[str, ...]:
     """The policies that apply in a task. Raises `ConfigError` for an unknown one."""
-    given = options.policies or (*GOALS, *(ACTING if name in TASKS else ()), *VELOCITIES)
-    for policy in given:
-        make_policy(policy)
-    return tuple(given)
+    return checked(options.policies or (*GOALS, *(ACTING if name in TASKS else ()), *VELOCITIES))
 
 
-def episode(unit: Unit) -> dict[str, float]:
-    """Return and metrics of one episode."""
-    name, policy, policy_sum, building = unit
-    task = EpisodeTask(policy, building, SETTINGS[name], checksum=policy_sum, source=source_of(policy))
-    figures = run_episode(task).figures
-    return {key: figures[key] for key in KEPT}
-
-
-def summarise(name: str, policies: Mapping[str, list[dict[str, float]]]) -> Figures:
+def summarise(name: str, rows: list[Row]) -> Figures:
     """How return and metric agree in a task."""
-    returns, metric = (
-        {policy: np.array([each[key] for each in episodes]) for policy, episodes in policies.items()}
-        for key in ("reward", CORRECT if name in TASKS else COVERAGE)
-    )
-    pairs = list(combinations(policies, 2))
+    returns = {row.policy: row.values("reward") for row in rows}
+    metric = {row.policy: row.values(CORRECT if name in TASKS else COVERAGE) for row in rows}
+    pairs = list(combinations(returns, 2))
     apart = [pair for pair in pairs if is_apart(metric, pair)]
-    means = [(returns[policy].mean(), metric[policy].mean()) for policy in policies]
+    means = [(returns[policy].mean(), metric[policy].mean()) for policy in returns]
     figures: Figures = {
         "policies": {
-            policy: {"return": estimate(returns[policy]), "metric": estimate(metric[policy])} for policy in policies
+            policy: {"return": estimate(returns[policy]), "metric": estimate(metric[policy])} for policy in returns
         },
         "tau": float(kendalltau(*zip(*means, strict=True))[0]) if len(means) > 1 else 1.0,
         "tau_apart": agreement(returns, metric, apart),
@@ -100,7 +74,7 @@ def summarise(name: str, policies: Mapping[str, list[dict[str, float]]]) -> Figu
             list(pair) for pair in apart if is_apart(returns, pair) and not agree(returns, metric, pair)
         ],
     }
-    if REFERENCE in policies and RANDOM in policies:
+    if REFERENCE in returns and RANDOM in returns:
         figures["random_of_nearest"] = ratio(returns[RANDOM], returns[REFERENCE])
         figures["random_of_nearest_metric"] = ratio(metric[RANDOM], metric[REFERENCE])
     return figures

@@ -12,12 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.errors import nees
+from benchmarks.known_pairs import Sighting
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.core.se2 import wrap_angle, wrapped
+from mecp_env.core.se2 import wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Filter, make_filter
-from mecp_env.slam.messages import Belief
 
 ROOM_M = 6.0
 RING = [(0, 0), (1, 0), (2, 0), (2, 1), (2, 2), (1, 2), (0, 2), (0, 1)]
@@ -59,8 +60,7 @@ def nearest_room(p: Array) -> int:
 def moved(T: Array, d: float, sideways: float, w: float) -> Array:
     """The pose after an arc of length d and turn w, with a slip to the left."""
     c, s = np.cos(T[2] + w / 2), np.sin(T[2] + w / 2)
-    moved_pose: Array = T + np.array([d * c - sideways * s, d * s + sideways * c, w])
-    return moved_pose
+    return T + np.array([d * c - sideways * s, d * s + sideways * c, w])
 
 
 def measure(T: Array, points: Array) -> Array:
@@ -109,46 +109,26 @@ def make_course(step_m: float = 0.25, laps: float = 2.0, slips: Array | None = N
     return course
 
 
-@dataclass(frozen=True, eq=False)
-class Step:
-    """The measurements of one step."""
-
-    odometry: Odometry
-    z: Array  # (n,2)
-    R: Array  # (2n,2n)
-    ids: Ints  # (n,)
-
-
 def drive(
     rng: np.random.Generator, course: Course, variance: Variance = per_metre, arcs_per_step: int = 1
-) -> Iterator[Step]:
-    """The measurements of one robot on the course."""
+) -> Iterator[tuple[Odometry, Sighting]]:
+    """The measurements of one robot in each step of the course."""
     for arc, slipped, ids, z in zip(course.arcs, course.slipped, course.ids, course.z, strict=True):
         parts = np.tile(arc / arcs_per_step, (arcs_per_step, 1))
         var = variance(parts)
         measured = parts + rng.normal(size=parts.shape) * np.sqrt(var)
         odometry = Odometry(measured, var[:, :, None] * np.eye(2), bool(slipped))
         R = np.diag(np.tile(SENSOR_SIGMA**2, len(ids)))
-        yield Step(odometry, z + rng.normal(size=z.shape) * SENSOR_SIGMA, R, ids)
+        yield odometry, Sighting(z + rng.normal(size=z.shape) * SENSOR_SIGMA, R, ids)
 
 
-def cycle(estimate: Filter, step: Step, iterate: bool = False) -> None:
+def cycle(estimate: Filter, odometry: Odometry, sighting: Sighting, iterate: bool = False) -> None:
     """Predict, update with known landmarks, augment new ones."""
-    estimate.predict(step.odometry)
-    known = np.isin(step.ids, estimate.ids)
-    if known.all():
-        estimate.update(step.z, step.R, step.ids, iterate)
-        return
-    rows = np.repeat(known, 2)
-    estimate.update(step.z[known], step.R[np.ix_(rows, rows)], step.ids[known], iterate)
-    estimate.augment(step.z[~known], step.R[np.ix_(~rows, ~rows)], step.ids[~known])
-
-
-def pose_nees(belief: Belief, T_true: Array) -> float:
-    """Normalised estimation error squared of the pose; 3 expected."""
-    e = T_true - belief.T_map_robot
-    e[2] = wrap_angle(e[2])
-    return float(e @ np.linalg.solve(belief.pose_cov, e))
+    estimate.predict(odometry)
+    known = np.isin(sighting.ids, estimate.ids)
+    seen, new = sighting.part(known), sighting.part(~known)
+    estimate.update(seen.z, seen.R, seen.ids, iterate)
+    estimate.augment(new.z, new.R, new.ids)
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,16 +152,17 @@ def config_of(kind: str) -> FilterConfig:
 
 def one_run(
     config: FilterConfig, seed: int, course: Course, closure: int, variance: Variance, arcs_per_step: int
-) -> tuple[list[float], list[float]]:
+) -> tuple[Array, Array]:
     """NEES and position error after every step; the update of step `closure` is iterated."""
-    estimate = make_filter(config)
-    nees, error_m = [], []
-    for k, step in enumerate(drive(np.random.default_rng(seed), course, variance, arcs_per_step)):
-        cycle(estimate, step, iterate=k == closure)
+    estimate, errors, covs = make_filter(config), [], []
+    for k, (odometry, sighting) in enumerate(drive(np.random.default_rng(seed), course, variance, arcs_per_step)):
+        cycle(estimate, odometry, sighting, iterate=k == closure)
         belief = estimate.belief()
-        nees.append(pose_nees(belief, course.T_true[k]))
-        error_m.append(math.hypot(*(belief.T_map_robot - course.T_true[k])[:2]))
-    return nees, error_m
+        errors.append(course.T_true[k] - belief.T_map_robot)
+        covs.append(belief.pose_cov)
+    e = np.array(errors)
+    e[:, 2] = wrapped(e[:, 2])
+    return nees(e, np.array(covs)), np.hypot(*e[:, :2].T)
 
 
 def monte_carlo(
@@ -198,7 +179,7 @@ def monte_carlo(
     closing = closing_step(courses[0])
     iterated = closing if iterate else -1
     rows = [one_run(config, seed, courses[seed], iterated, variance, arcs_per_step) for seed in range(runs)]
-    return Runs(np.array([r[0] for r in rows]), np.array([r[1] for r in rows]), courses[0].lap, closing)
+    return Runs(*map(np.array, zip(*rows, strict=True)), courses[0].lap, closing)
 
 
 def closing_step(course: Course) -> int:

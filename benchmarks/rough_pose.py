@@ -14,9 +14,8 @@ from benchmarks.kiss import KissPointsAssociator
 from benchmarks.tables import columns_of, means, ratios
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.sensors import Scan
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.slam import SlamConfig, SlamPipeline
+from mecp_env.slam import Scan, SlamConfig, SlamPipeline
 from mecp_env.slam.frontend import front_end as features_of
 from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon
@@ -86,8 +85,7 @@ def count_scans(
     """Counts of one associator on the scans, with `errors` (n,3) of the pose in units of sigma."""
     sigmas = np.array([sigma[0], sigma[0], math.radians(sigma[1])])
     mapped = finished.identity[finished.pipeline.filter.ids]
-    counts = {"scans": len(looks), "right": 0, "possible": 0, "pairs": 0, "wrong": 0, "polygon": 0}
-    seconds = []
+    rows, seconds = [], []
     for seen, error in zip(looks, errors, strict=True):
         view, belief = rough_view(finished.pipeline, seen.T_map_robot + error * sigmas, sigmas, len(seen.corners))
         if isinstance(associator, KissPointsAssociator) and seen.beams is not None:
@@ -95,13 +93,10 @@ def count_scans(
         begun = time.perf_counter()
         match = associator.associate(seen.corners, seen.polygons, view, belief)
         seconds.append(time.perf_counter() - begun)
-        pairs, wrong = judged(finished, seen, match)
-        counts["right"] += pairs - wrong >= RIGHT_PAIRS and not wrong
-        counts["possible"] += int((np.isin(seen.true, mapped) & (seen.true >= 0)).sum()) >= RIGHT_PAIRS
-        counts["pairs"] += pairs
-        counts["wrong"] += wrong
-        counts["polygon"] += match.polygon >= 0
-    return {**counts, "ms": 1e3 * float(np.median(seconds))}
+        possible = int((np.isin(seen.true, mapped) & (seen.true >= 0)).sum()) >= RIGHT_PAIRS
+        rows.append(judged(finished, seen, match) | {"possible": possible})
+    counts = {name: int(column.sum()) for name, column in columns_of(rows).items()}
+    return {"scans": len(looks), **counts, "ms": 1e3 * float(np.median(seconds))}
 
 
 def rough_view(pipeline: SlamPipeline, T_map_robot: Array, sigmas: Array, corners: int) -> tuple[MapView, Filter]:
@@ -113,11 +108,13 @@ def rough_view(pipeline: SlamPipeline, T_map_robot: Array, sigmas: Array, corner
     return pipeline.map.view(belief.belief(), graph, through, pipeline.step_count + 1), belief
 
 
-def judged(finished: Finished, seen: Look, match: Match) -> tuple[int, int]:
-    """How many pairs a match has, and how many of them are wrong."""
+def judged(finished: Finished, seen: Look, match: Match) -> Figures:
+    """How many pairs a match has, how many of them are wrong, whether it is right, and has a polygon."""
     paired = match.recognised()
     claimed, true = finished.identity[match.ids[paired]], seen.true[paired]
-    return len(paired), len(paired) - int(((claimed == true) & (true >= 0)).sum())
+    pairs, wrong = len(paired), len(paired) - int(((claimed == true) & (true >= 0)).sum())
+    right = pairs >= RIGHT_PAIRS and not wrong
+    return {"right": right, "pairs": pairs, "wrong": wrong, "polygon": match.polygon >= 0}
 
 
 def figures_of(drives: list[Figures]) -> Figures:

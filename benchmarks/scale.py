@@ -34,7 +34,7 @@ COUNTS = (55, 300, 688, 1000)
 QUICK = (55, 300)
 BUILDING: dict[str, Any] = {"rooms": 200, "loops": 40, "corridors": 20, "shaped_rooms": 20, "furniture": 0.5}
 BUILDINGS, ROUNDS, BLOCK = 4, 4, 250
-SETS, MOST = dict.fromkeys(KINDS, BUILDINGS), 100
+SETS = dict.fromkeys(KINDS, BUILDINGS)
 MOST_STEPS, STEPS = 100_000, 12_000
 DRIFT, COLUMNS = "drift", ("median_m", "q95_m", "lost")
 Drift = list[tuple[float, bool]]  # pose error in m, and whether the pose is known, in each step of an exploration
@@ -47,7 +47,7 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Results of each kind at each number of landmarks; --quick: one building, 55 and 300 landmarks."""
-    buildings = chosen(options.sets, SETS, MOST) or SETS
+    buildings = chosen(options.sets, SETS) or SETS
     counts, buildings = (QUICK, dict.fromkeys(buildings, 1)) if options.quick else (COUNTS, buildings)
     tasks = [(kind, max(counts), seed) for kind in buildings for seed in range(buildings[kind])]
     results = grouped(tasks, in_parallel(measure, dict[str, list[float]], tasks, options))

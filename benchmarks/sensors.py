@@ -35,8 +35,7 @@ ROWS: dict[str, dict[str, Any]] = {  # name -> fields of the environment
     **{name: {"laser": {"preset": name}} for name in ("ideal", "utm30lx", "lms200", "rplidar_a1", "urg04lx")},
 }
 ELLIPSE = chi2_of_point(0.9)
-DRIVES = dict.fromkeys(ROWS, 16)
-SETS, MOST, QUICK_DRIVES = tuple(ROWS), 1000, 2
+SETS = dict.fromkeys(ROWS, 16)
 MEANS = ("nees", "landmark_nees", "pair_nees", "in_ellipse", "rmse_m")
 
 GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
@@ -44,10 +43,8 @@ GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
 
 def run(options: Options) -> Figures:
     """Results of every sensor."""
-    drives = runs_of(options, DRIVES, MOST, QUICK_DRIVES)
-    by_seed = sorted(drives, key=lambda drive: drive[1])  # a part of the time gives a part of each sensor
-    runs = on_records(counted, Figures, by_seed, options)
-    return {name: summarise(runs[name]) for name in dict(drives)}
+    drives = sorted(runs_of(options, SETS), key=lambda drive: drive[1])  # a part of the time: a part of each sensor
+    return {name: summarise(runs) for name, runs in on_records(counted, Figures, drives, options).items()}
 
 
 def course(name: str, seed: int) -> Course:

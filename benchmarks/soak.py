@@ -71,10 +71,6 @@ class Many:
         self.observation, _, terminated, truncated, infos = self.env.step(self.held)
         return int((infos["period"] > 0).sum()), int((terminated | truncated).sum())
 
-    def workers(self) -> list[int]:
-        """Their process ids."""
-        return list(self.env.pids)
-
 
 class One(RandomDriver):
     """A single environment and random goals."""
@@ -86,10 +82,6 @@ class One(RandomDriver):
         """A drive to a goal: control steps, and episodes that ended."""
         before = self.episodes
         return self.step(), self.episodes - before
-
-    def workers(self) -> list[int]:
-        """None."""
-        return []
 
 
 KINDS = {"vector": Many, "single": One}
@@ -114,15 +106,20 @@ def soak(task: tuple[str, int]) -> Soak:
     for number in range(SLICES):
         watch(driver, block, watched)
         show_progress(number + 1, SLICES, time.monotonic() - begun)
-    workers = driver.workers()
+    pids = pids_of(driver.env)
     driver.env.close()
-    watched.left_behind = max(open_files(["self", *workers]) + shared_segments(["self", *workers]) - before, 0)
+    watched.left_behind = max(open_files(pids) + shared_segments(pids) - before, 0)
     return watched
+
+
+def pids_of(env: Any) -> list[Any]:
+    """This process and the workers of an environment."""
+    return ["self", *getattr(env, "pids", ())]
 
 
 def watch(driver: Any, steps: int, watched: Soak) -> None:
     """Drive for a slice and append what it used."""
-    pids = ["self", *driver.workers()]
+    pids = pids_of(driver.env)
     start, spent = time.perf_counter(), processor_s(pids)
     memory, parts = list[float](), list[tuple[int, int]]()
     for _ in range(SAMPLES):

@@ -43,17 +43,12 @@ def run(options: Options) -> Figures:
     """All results; the environment is measured for 3,000 steps per setting (--quick: 300)."""
     steps = 300 if options.quick else 3000
     return {
-        "env": {f"K={k}": environment(k, steps) for k in SWEEPS},
+        "env": {f"K={k}": {name: timed(k, steps, drive) for name, drive in DRIVES.items()} for k in SWEEPS},
         "peers": peers.measure(5 if options.quick else 60, SWEEPS),
         "crowd": crowd_speed.measure(2 if options.quick else 12),
         "rays": rays(50 if options.quick else 300),
         "polygon": polygon_speed.measure(20 if options.quick else 200),
     }
-
-
-def environment(sweeps: int, steps: int) -> Figures:
-    """Speed with random velocities and with the breadth-first explorer, in control steps per second."""
-    return {"random": timed(sweeps, steps, drive_at_random), "bfs": timed(sweeps, steps, explore)}
 
 
 def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Figures:
@@ -75,6 +70,9 @@ def explore(env: MecpEnv, steps: int) -> None:
         seen += info["periods"]
         if seen >= steps:
             return
+
+
+DRIVES = {"random": drive_at_random, "bfs": explore}
 
 
 def rays(poses: int) -> Figures:
@@ -104,9 +102,9 @@ def pymunk_space(outline: Outline) -> pymunk.Space:
     return space
 
 
-def query_pymunk(space: pymunk.Space, T_world_robot: Array, reach: float = 30.0) -> list[float]:
+def query_pymunk(space: pymunk.Space, T_world_robot: Array) -> list[float]:
     """Ranges of 720 rays by `segment_query_first`."""
-    x, y, heading = T_world_robot.tolist()
+    (x, y, heading), reach = T_world_robot.tolist(), 30.0
     ranges = []
     for beam in range(BEAMS):
         angle = heading - math.pi + (beam + 1) * 2.0 * math.pi / BEAMS
@@ -125,8 +123,7 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
     with np.errstate(divide="ignore", invalid="ignore"):
         along = (ax * ey - ay * ex) / (dx * ey - dy * ex)
         share = (ax * dy - ay * dx) / (dx * ey - dy * ex)
-    ranges: Array = np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
-    return ranges
+    return np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
 
 
 def report(figures: Figures) -> str:

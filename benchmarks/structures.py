@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks import association, loop
-from benchmarks.common import Figures, Gate, Options, estimate, load_modules, ratio, runs_of
+from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
@@ -27,12 +27,10 @@ from benchmarks.rough_pose import figures_of, front_end, named, right_share
 from benchmarks.tables import by_row, columns_of, means, ratios, sections, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.core.carriers import Array
-from mecp_env.slam import config
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam import SlamConfig, config
 from mecp_env.slam.mecp import find_structure
 
-SEEDS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
-SETS, MOST = tuple(SEEDS), 500
+SETS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
 ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the second part
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
 VARIANTS = (DEFAULT, "mecp without descriptor")
@@ -48,8 +46,7 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Both parts, for each layout and structure."""
-    load_modules(options.modules)
-    drives = runs_of(options, SEEDS, MOST, 2)
+    drives = runs_of(options, SETS)
     units = [("closed", layout, seed) for layout, seed in drives]
     units += [("rough", layout, seed) for layout, seed in drives if seed < ROUGH.get(layout, 0)]
     found = on_records(measure, dict[str, Any], units, options)

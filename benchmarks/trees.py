@@ -82,7 +82,7 @@ def tree_worker(name: str, tree: Path, *arguments: str) -> Iterator[TreeWorker]:
         tempfile.TemporaryFile() as errors,
         started(tree, command("drive", *arguments), {}, stdin=pipe, stdout=pipe, stderr=errors) as process,
     ):
-        yield TreeWorker(name, tree, process, errors)
+        yield TreeWorker(name, process, errors)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,29 +90,18 @@ class TreeWorker:
     """The calls of a worker."""
 
     name: str
-    tree: Path
     process: Any
     errors: IO[bytes]
-
-    def check_package(self) -> None:
-        """Raise `TreeError` unless the worker imported the package of its tree."""
-        found = Path(self._answer()["package"]).resolve()
-        if self.tree not in found.parents:
-            raise TreeError(f"{self.name}: it imported {found}, not the package in {self.tree}")
 
     def call(self, method: str, *arguments: Any) -> dict[str, Any]:
         """What a method of `in_tree.BlockDriver` returns. Raises `TreeError` with what a dead worker wrote last."""
         with contextlib.suppress(BrokenPipeError):
             self.process.stdin.write(json.dumps([method, *arguments]) + "\n")
             self.process.stdin.flush()
-        return self._answer()
-
-    def _answer(self) -> dict[str, Any]:
         line = self.process.stdout.readline()
         if not line:
             code = self.process.wait()
             self.errors.seek(0)
             last = self.errors.read().decode(errors="replace").strip()
             raise TreeError(f"{self.name}: the worker ended with exit code {code}\n{last}")
-        answer: dict[str, Any] = json.loads(line)
-        return answer
+        return json.loads(line)

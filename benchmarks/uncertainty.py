@@ -12,19 +12,19 @@ full estimator, over the greedy one, `next_best_view`. An episode is lost as in 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, OptionError, Options, buildings_of, estimate, grouped, in_parallel, share
+from benchmarks.common import Figures, Gate, OptionError, Options, estimate, share
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.tables import columns_of, means, sections, table
-from mecp_env.core.carriers import Array
+from benchmarks.policy_runs import buildings_of, checked, rows_of
+from benchmarks.tables import sections, table
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
-from mecp_env.policies.registry import make_policy, policy_checksum, source_of
+from mecp_env.policies.evaluation import Evaluation, Row
 from mecp_env.policies.report import cell
-from mecp_env.policies.rollout import EpisodeTask, run_episode
 from mecp_env.policies.setting import Setting
 
 TASK = "ActiveHalls-v0"
@@ -37,7 +37,7 @@ CHANGES: dict[str, dict[str, Any]] = {  # point -> what differs from the task
     **{f"odometry_x{scale:g}": {"odometry": {"scale": scale}} for scale in SCALES},
     **{f"range_{metres:g}_m": {"laser": {"max_range_m": metres}} for metres in RANGES_M},
 }
-BUILDINGS, QUICK_BUILDINGS, MOST = 50, 1, 1000
+BUILDINGS, QUICK_BUILDINGS = 50, 1
 SETS = tuple(CHANGES)
 QUICK = (BASE, "odometry_x8")
 METRIC = "correct_over_steps"
@@ -55,56 +55,26 @@ GATES = tuple(
     for point in (BASE, "odometry_x4", "range_8_m")
     for policy in ("next_best_view", "returning")
 )
-Columns = Mapping[str, Array]  # of the episodes
-Unit = tuple[str, str, str, str, str, int]  # task, point, policy, its checksum, estimator, building
 
 
 def run(options: Options) -> Figures:
-    """Results of every point, policy and estimator."""
-    task, policies = checked(options)
-    points = QUICK if options.quick and not options.sets else CHANGES
-    counts = buildings_of(options, points, QUICK_BUILDINGS if options.quick else BUILDINGS, MOST)
-    units = units_of(task, counts, policies)
-    found: dict[tuple[str, str], dict[str, Columns]] = {}
-    results = grouped(units, in_parallel(episode, dict[str, float], units, options))
-    for (_, point, policy, _, estimator), episodes in results.items():
-        found.setdefault((point, policy), {})[estimator] = columns_of(episodes)
-    points_of: Figures = {point: {} for point in counts}
-    for (point, policy), of in found.items():
-        points_of[point][policy] = summarise(of, found.get((point, GREEDY)))
-    return {"task": task, "range_m": range_of(task), "points": points_of}
+    """Results of every point, policy and estimator.
 
-
-def units_of(task: str, counts: Mapping[str, int], policies: Sequence[str]) -> list[Unit]:
-    """All episodes, building by building."""
-    checksums = {policy: policy_checksum(policy) for policy in policies}
-    return [
-        (task, point, policy, checksum, estimator, building)
-        for building in range(max(counts.values()))
-        for point in counts
-        for policy, checksum in checksums.items()
-        for estimator in ESTIMATORS
-        if building < counts[point]
-    ]
-
-
-def checked(options: Options) -> tuple[str, tuple[str, ...]]:
-    """The task and the policies. Raises `OptionError` for an unknown task, `ConfigError` for an unknown policy."""
+    Raises `OptionError` for an unknown task, `ConfigError` for an unknown policy.
+    """
     task = options.task or TASK
     if task not in TASKS:
         raise OptionError(f"--task {task}: expected one of {', '.join(TASKS)}{guess(task, TASKS)}")
-    policies = tuple(dict.fromkeys(options.policies or POLICIES))
-    for policy in policies:
-        make_policy(policy)
-    return task, policies
-
-
-def episode(unit: Unit) -> dict[str, float]:
-    """Metrics of one episode."""
-    task, point, policy, policy_sum, estimator, building = unit
-    setting = Setting("", "test", estimator, TASKS[task]["max_steps"], task, env=CHANGES[point])
-    result = run_episode(EpisodeTask(policy, building, setting, checksum=policy_sum, source=source_of(policy)))
-    return {name: result.figures[name] for name in KEPT}
+    policies = checked(options.policies or POLICIES)
+    points = QUICK if options.quick and not options.sets else CHANGES
+    counts = buildings_of(options, points, QUICK_BUILDINGS if options.quick else BUILDINGS)
+    setting = Setting("", "test", "slam", TASKS[task]["max_steps"], task)
+    evaluations = {
+        point: Evaluation(policies, replace(setting, env=CHANGES[point]), buildings, known_correspondences=True)
+        for point, buildings in counts.items()
+    }
+    of_points = {point: of_policies(rows) for point, rows in rows_of(evaluations, options).items()}
+    return {"task": task, "range_m": range_of(task), "points": of_points}
 
 
 def range_of(task: str) -> float:
@@ -112,13 +82,26 @@ def range_of(task: str) -> float:
     return float(TASKS[task]["laser"]["max_range_m"])
 
 
-def summarise(of: Mapping[str, Columns], greedy: Mapping[str, Columns] | None) -> Figures:
+def of_policies(rows: Sequence[Row]) -> Figures:
+    """Results of each policy at one point."""
+    found: dict[str, dict[str, Row]] = {}
+    for row in rows:
+        found.setdefault(row.policy, {})[row.estimator] = row
+    return {policy: summarise(of, found.get(GREEDY)) for policy, of in found.items()}
+
+
+def summarise(of: Mapping[str, Row], greedy: Mapping[str, Row] | None) -> Figures:
     """Results of one policy at one point: each estimator, the prices, and the gain over the greedy one, if there."""
-    figures: Figures = {name: means(own, *KEPT) | {"lost": share(own["lost"] > 0.5)} for name, own in of.items()}
-    gains = {name: of[more][METRIC] - of[less][METRIC] for name, (more, less) in PRICES.items()}
+    figures: Figures = {name: figures_of(of[name]) for name in ESTIMATORS}
+    gains = {name: of[more].values(METRIC) - of[less].values(METRIC) for name, (more, less) in PRICES.items()}
     if greedy is not None:
-        gains["over"] = of["slam"][METRIC] - greedy["slam"][METRIC]
+        gains["over"] = of["slam"].values(METRIC) - greedy["slam"].values(METRIC)
     return figures | {name: estimate(gain) for name, gain in gains.items()}
+
+
+def figures_of(row: Row) -> Figures:
+    """The metrics of a policy with one estimator."""
+    return {name: estimate(row.values(name)) for name in KEPT} | {"lost": share(row.values("lost") > 0.5)}
 
 
 def report(figures: Figures) -> str:

@@ -10,7 +10,6 @@ the grid, 5 of 79 kB, and shows the cost of transport.
 
 from __future__ import annotations
 
-import importlib.util
 import multiprocessing
 import os
 import time
@@ -25,7 +24,7 @@ from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
 from gymnasium.wrappers import FilterObservation
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, estimate, in_turns
+from benchmarks.common import Figures, Gate, Options, estimate, in_turns, is_installed
 from benchmarks.process_use import memory_mb, processor_s
 from benchmarks.tables import sections, whole_rows
 from mecp_env.core.processes import cores
@@ -53,8 +52,7 @@ def run(options: Options) -> Figures:
 
 def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[str, ...] = ()) -> Figures:
     """Results of each kind in a setting."""
-    there = importlib.util.find_spec("stable_baselines3") is not None
-    names = list(kinds or (kind for kind in MAKERS if kind != SUBPROC or there))
+    names = list(kinds or (kind for kind in MAKERS if kind != SUBPROC or is_installed("stable_baselines3")))
     memory = {name: memory_alone(name, setting, EPISODE) for name in names}
     drivers = {name: Driver(name, setting) for name in names}
     try:

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.batch import Optimum, optimum
-from benchmarks.common import Figures, Gate, OptionError, Options, load_modules, shared_data
+from benchmarks.common import Figures, Gate, OptionError, Options, shared_data
 from benchmarks.errors import rms, sigma_ratio
 from benchmarks.known_pairs import Motion, Record, Sighting, filtered, in_order
 from benchmarks.tables import table
@@ -42,7 +42,6 @@ GATES = (
 
 def run(options: Options) -> Figures:
     """Every filter against the batch optimum. Raises `OptionError` without the record or GTSAM."""
-    load_modules(options.modules)
     folder = shared_data("logs")
     if folder is None or not (folder / FILE).is_file():
         raise OptionError(f"victoria_park: no {FILE} in shared/data/logs beside the repository")

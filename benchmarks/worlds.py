@@ -26,6 +26,7 @@ from benchmarks.drives import exploration
 from benchmarks.tables import of_visits, sections, turned
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
+from mecp_env.policies.setting import words_of
 from mecp_env.registration import make
 from mecp_env.render.figures import map_figure, save
 from mecp_env.world.config import GeneratorSpec, split_seed
@@ -170,9 +171,7 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
 
 def flags(setting: str) -> str:
     """The options of the demo that a setting adds."""
-    sections = SETTINGS[setting][1].items()
-    fields = [(f"{section}.{name}", value) for section, values in sections for name, value in values.items()]
-    return "".join(f" --config.{name.replace('_', '-')} {value}" for name, value in fields)
+    return "".join(f" --config.{field.replace('_', '-')}" for field in words_of(SETTINGS[setting][1]))
 
 
 def summarise(visits: list[Visit]) -> Figures:
@@ -192,12 +191,12 @@ def report(figures: Figures) -> str:
     presets: dict[str, dict[str, Figures]] = {}
     for name, values in figures.items():
         presets.setdefault(SETTINGS[name][0], {})[name] = values
-    return sections({preset: table_of_preset(settings) for preset, settings in presets.items()})
-
-
-def table_of_preset(settings: dict[str, Figures]) -> str:
-    """The table of a preset."""
-    return turned(settings, [f"{title(name)} ({values['complete']['n']})" for name, values in settings.items()])
+    return sections(
+        {
+            preset: turned(settings, [f"{title(name)} ({of['complete']['n']})" for name, of in settings.items()])
+            for preset, settings in presets.items()
+        }
+    )
 
 
 def title(setting: str) -> str:

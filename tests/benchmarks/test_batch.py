@@ -1,6 +1,7 @@
 """The batch optimum of GTSAM against SciPy, and the benchmarks that use it."""
 
 import sys
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +28,10 @@ def ring_record(steps: int) -> Record:
     """The first steps round the ring of rooms, with correlated corners; the first scan is taken at rest."""
     config, rng = FilterConfig(), np.random.default_rng(0)
     motions, sightings = list[Motion](), [Sighting(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))]
-    for step, _ in zip(ring.drive(rng, ring.make_course(), arcs_per_step=4), range(steps), strict=False):
-        motions.append(Motion.of_odometry(step.odometry, config))
-        common = 0.2 * np.sqrt(np.diag(step.R))
-        sightings.append(Sighting(step.z, step.R + np.outer(common, common), step.ids))
+    for odometry, seen in islice(ring.drive(rng, ring.make_course(), arcs_per_step=4), steps):
+        motions.append(Motion.of_odometry(odometry, config))
+        common = 0.2 * np.sqrt(np.diag(seen.R))
+        sightings.append(Sighting(seen.z, seen.R + np.outer(common, common), seen.ids))
     return Record(np.zeros(3), np.diag([1e-6, 1e-6, 1e-8]), motions, sightings)
 
 
@@ -172,7 +173,7 @@ def test_victoria_park_as_it_is_known(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def small(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(consistency, "LAYOUT", "two_rooms")
-    monkeypatch.setattr(consistency, "DRIVES", {"per_metre": 2, "skid_steer": 1})
+    monkeypatch.setattr(consistency, "SETS", {"per_metre": 2, "skid_steer": 1})
 
 
 @needs_gtsam

@@ -17,6 +17,9 @@ def test_a_claim_holds_where_its_whole_interval_says_so() -> None:
         for bound, said in (("at_most", below), ("at_least", above)):
             claim = claims.Claim("I", "sentence", "experiment", "part/figure", **{bound: 0.5})
             assert claim.holds(figures) == said
+    for missing in ({}, {"part": {"figure": None}}, {"part": {"figure": dict.fromkeys(("value", "low", "high"))}}):
+        assert claim.holds(missing) == "open"
+    assert "**open**" in claims.report({})
     found = recalls([[1, 1, 1, 2], [0, 0, 0, 0]])
     assert found[0] == 0.5
     assert np.isnan(found[1])  # of a pose without a visible corner

@@ -7,7 +7,6 @@ import pytest
 
 from benchmarks import clutter
 from benchmarks.clutter import ClutteredPipeline, cluttered
-from benchmarks.common import OptionError, Options
 from benchmarks.drives import Drive, replay
 from benchmarks.records import Course
 from benchmarks.rough_pose import front_end
@@ -104,5 +103,3 @@ def test_registered_associators_have_a_row(monkeypatch: pytest.MonkeyPatch) -> N
     assert {row.change["association"]["method"] for row in before.values()} == set(config.METHODS.ours)
     register_associator("own_rival", Own)
     assert associators() == before | {"own_rival": associating(method="own_rival")}
-    with pytest.raises(OptionError, match="--with no_such_module"):
-        clutter.run(Options(modules=("no_such_module",)))

@@ -16,7 +16,6 @@ from benchmarks import common
 from benchmarks.common import Gate, Options
 from benchmarks.pages import pages
 from mecp_env.core import intervals
-from mecp_env.core.work_units import Shard
 
 GATES = (
     Gate("scan/us", "time", 1.3),
@@ -102,20 +101,12 @@ def test_a_unit_that_fails_is_named_and_raised_when_the_others_are_finished(
     assert len(list(tmp_path.iterdir())) == len(UNITS)
 
 
-def test_a_run_continues_and_shards_add_up_to_it(tmp_path: Path) -> None:
-    for number in (1, 2):
-        with pytest.raises(common.ShardDone, match=f"{4 - number} units of shard {number}/2 are in"):
-            common.in_parallel(cube, float, UNITS, Options(folder=tmp_path, shard=Shard(number, 2)))
-    results = common.in_parallel(lambda unit: None, float, UNITS, Options(folder=tmp_path))  # all are there
-    assert results == [cube(unit) for unit in UNITS]
-
-
 @pytest.fixture
 def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., types.ModuleType]:
     """Puts a benchmark in the place of another one; results and units go to a temporary folder."""
-    monkeypatch.setattr(command, "RESULTS", tmp_path / "results")
-    monkeypatch.setattr(command, "UNITS", tmp_path / "units")
-    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    monkeypatch.setattr(common, "RESULTS", tmp_path / "results")
+    monkeypatch.setattr(common, "UNITS", tmp_path / "units")
+    monkeypatch.setattr(common, "calibration_ms", lambda: 5.0)
 
     def put(name: str, run: Callable[[Options], Any]) -> types.ModuleType:
         module = types.ModuleType(f"benchmarks.{name}")
@@ -184,6 +175,7 @@ def test_the_command_writes_figures_and_page_and_gates_against_them(
         ("noise --buildings 3", "--buildings: noise does not have it; returns, uncertainty do"),
         ("speed --records x", "--records: speed does not have it; ablation"),
         (f"loop --records {__file__}", "is a file, not a folder"),
+        ("clutter --with no_such_module", "--with no_such_module"),
         ("record --sets speed", "expected one of association, association_time, clutter"),
         ("soak --cluster 127.0.0.1:1", "--cluster: soak does not have it; ablation"),
         ("loop --cluster 127.0.0.1:1 --jobs 2", "--jobs 2: with --cluster"),

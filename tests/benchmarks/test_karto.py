@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 
 from benchmarks import karto
+from benchmarks.common import is_installed
 from mecp_env.core.se2 import between
 from mecp_env.evaluation.trajectory import trajectory_error
 from mecp_env.logs.log import Log
 from tests.slam.drives import scripted_drive
 
-needs_karto = pytest.mark.skipif(not karto.installed(), reason="extra `lab`")
+needs_karto = pytest.mark.skipif(not is_installed(karto.PACKAGE), reason="extra `lab`")
 
 
 @needs_karto

@@ -5,6 +5,7 @@ import importlib.util
 import pytest
 
 from benchmarks import peers
+from benchmarks.in_tree import BlockDriver
 
 
 def test_peers_that_are_not_installed_are_named(
@@ -18,7 +19,8 @@ def test_peers_that_are_not_installed_are_named(
 
 def test_our_speed_is_divided_by_that_of_the_peer(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(peers, "installed", lambda: {"toy": lambda: (10, 0.01)})
-    monkeypatch.setattr(peers, "Ours", lambda sweeps, actions: lambda: (100, 0.2 * sweeps))
+    monkeypatch.setattr(peers, "BlockDriver", lambda actions, sweeps: sweeps)
+    monkeypatch.setattr(peers, "our_block", lambda sweeps: (100, 0.2 * sweeps))
     figures = peers.measure(3, (1, 4))
     for sweeps, expected in (("K=1", 0.5), ("K=4", 0.125)):
         for values in figures["toy"][sweeps].values():
@@ -30,9 +32,9 @@ def test_our_speed_is_divided_by_that_of_the_peer(monkeypatch: pytest.MonkeyPatc
 
 
 def test_our_blocks_go_on_in_a_new_episode() -> None:
-    drive = peers.Ours(1, "random")
+    driver = BlockDriver("random", 1)
     for _ in range(2):
-        steps, seconds = drive()
+        steps, seconds = peers.our_block(driver)
         assert steps > 0
         assert seconds > 0.0
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 
-from benchmarks import returns
+from benchmarks import policy_runs, returns
 from benchmarks.common import Options
 from benchmarks.returns import ACTING, CORRECT, COVERAGE, SETTINGS
 from mecp_env.episode.tasks import TASKS
+from mecp_env.policies.rollout import CoverageCurve, EpisodeResult, EpisodeTask
 
 METRIC = {"nearest": 0.8, "random_goal": 0.4, "standing": 0.1}
 
@@ -16,16 +17,16 @@ METRIC = {"nearest": 0.8, "random_goal": 0.4, "standing": 0.1}
 def toy(paid: dict[str, float]) -> Any:
     """Episodes whose metric and return depend on policy and building."""
 
-    def episode(unit: returns.Unit) -> dict[str, float]:
-        _, policy, _, building = unit
-        jitter = 0.01 * building
-        return {"reward": paid[policy] + jitter, COVERAGE: METRIC[policy] + jitter, CORRECT: METRIC[policy] + jitter}
+    def episode(task: EpisodeTask) -> EpisodeResult:
+        figures = {"reward": paid[task.policy], COVERAGE: METRIC[task.policy], CORRECT: METRIC[task.policy]}
+        figures = {name: value + 0.01 * task.building for name, value in figures.items()}
+        return EpisodeResult(task, CoverageCurve(), figures, 0.0)
 
     return episode
 
 
 def run(monkeypatch: pytest.MonkeyPatch, folder: Path, paid: dict[str, float], **fields: Any) -> dict[str, Any]:
-    monkeypatch.setattr(returns, "episode", toy(paid))
+    monkeypatch.setattr(policy_runs, "run_episode", toy(paid))
     return returns.run(Options(buildings=4, policies=tuple(METRIC), sets=("First",), folder=folder, **fields))
 
 

@@ -57,8 +57,8 @@ def test_a_short_run_of_each_kind(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
 def test_the_command_fails_where_a_bound_is_exceeded(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(command, "UNITS", tmp_path)
-    monkeypatch.setattr(command, "calibration_ms", lambda: 5.0)
+    monkeypatch.setattr(common, "UNITS", tmp_path)
+    monkeypatch.setattr(common, "calibration_ms", lambda: 5.0)
     monkeypatch.setattr(soak, "run", lambda options: {"single": soak.summarise(watched(wrong=3))})
     assert command.main(["soak", "--quick"]) == 1
     assert capsys.readouterr().err == "failed: single: wrong_observations 3, at most 0\n"

@@ -5,28 +5,29 @@ from typing import Any
 
 import pytest
 
-from benchmarks import uncertainty
+from benchmarks import policy_runs, uncertainty
 from benchmarks.common import OptionError, Options
 from benchmarks.uncertainty import BASE, CHANGES, ESTIMATORS, METRIC, POLICIES
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.explorers import Nearest
-from mecp_env.policies.rollout import make_rooms
+from mecp_env.policies.rollout import CoverageCurve, EpisodeResult, EpisodeTask, make_rooms
 from mecp_env.policies.setting import Setting
 
 QUALITY = {"slam": 0.5, "known": 0.6, "truth": 0.8}
 
 
-def toy(unit: uncertainty.Unit) -> dict[str, float]:
+def toy(task: EpisodeTask, gained: float = 0.0) -> EpisodeResult:
     """Metrics that depend on estimator and building."""
-    *_, estimator, building = unit
-    metrics = dict.fromkeys(uncertainty.KEPT, 0.1)
-    return metrics | {METRIC: QUALITY[estimator] + 0.01 * building, "lost": float(estimator == "slam")}
+    estimator = task.setting.estimator
+    metrics = dict.fromkeys(uncertainty.KEPT, 0.1) | {"lost": float(estimator == "slam")}
+    metrics[METRIC] = QUALITY[estimator] + 0.01 * task.building + gained
+    return EpisodeResult(task, CoverageCurve(), metrics, 0.0)
 
 
 @pytest.fixture
 def figures(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> dict[str, Any]:
-    monkeypatch.setattr(uncertainty, "episode", toy)
+    monkeypatch.setattr(policy_runs, "run_episode", toy)
     return uncertainty.run(Options(buildings=4, policies=("nearest", "gain"), folder=tmp_path))
 
 
@@ -54,10 +55,7 @@ def test_prices_are_paired_by_building(figures: dict[str, Any]) -> None:
 
 
 def test_a_policy_is_paired_with_the_greedy_one(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    def better(unit: uncertainty.Unit) -> dict[str, float]:
-        return {name: value + 0.2 * (unit[2] == "returning") for name, value in toy(unit).items()}
-
-    monkeypatch.setattr(uncertainty, "episode", better)
+    monkeypatch.setattr(policy_runs, "run_episode", lambda task: toy(task, 0.2 * (task.policy == "returning")))
     figures = uncertainty.run(Options(buildings=4, policies=("returning", "next_best_view"), folder=tmp_path))
     over = figures["points"][BASE]["returning"]["over"]
     assert (over["value"], over["low"], over["high"], over["n"]) == pytest.approx((0.2, 0.2, 0.2, 4))
