@@ -72,7 +72,8 @@ def draw_lines(axes: Axes, panel: Panel) -> None:
         value, low, high = (np.array([e[end] for e in estimates], float) for end in ("value", "low", "high"))
         at = np.arange(len(panel.ticks)) + 0.04 * (k - 0.5 * len(panel.lines))
         bars = np.abs([value - low, high - value])
-        colour, marker, dashes = (choices[k % len(choices)] for choices in (SERIES, MARKERS, DASHES))
+        colour, marker = SERIES[k % len(SERIES)], MARKERS[k % len(MARKERS)]
+        dashes = DASHES[(k + k // len(SERIES)) % len(DASHES)]  # others where colours come again
         looks: dict[str, Any] = {"color": unit(colour), "marker": marker, "linestyle": dashes}
         axes.errorbar(at, value, bars, label=name, markersize=5, capsize=2, linewidth=1.3, **looks)
     axes.set(xticks=range(len(panel.ticks)), xticklabels=panel.ticks)
