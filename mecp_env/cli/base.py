@@ -246,11 +246,6 @@ def at_end(code: int) -> int:
     return code or (INTERRUPTED if was_interrupted() else 0)
 
 
-def exit_code(code: int, saved: bool) -> int:
-    """The exit code of a run that ended with `code`; 1 where the run is well but its map was not `saved`."""
-    return code or (0 if saved else FAILED)
-
-
 def echo(*lines: object) -> None:
     """Print lines that may contain names from untrusted files, without control characters."""
     for line in lines:
@@ -267,10 +262,11 @@ def print_os_error(error: OSError) -> None:
     print_error(f"{error.filename or 'output'}: {error.strerror}")
 
 
-def tracked(items: Iterable[T], total: int, what: str) -> Iterable[T]:
-    """The items one by one, with a bar on stderr where that is a terminal."""
-    from rich.console import Console  # the overview of all commands does without
-    from rich.progress import track
+def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+    """The items one by one, with a bar on stderr; without a terminal, a line at every tenth of the way."""
+    from mecp_env.render.progress import Bar  # the overview of all commands does without
 
-    console = Console(stderr=True)
-    return track(items, what, total, console=console, transient=True, disable=not console.is_terminal)
+    with Bar(total, stays=False, stderr=True) as bar:
+        for done, item in enumerate(items, start=1):
+            yield item
+            bar.show(done, what, f"mecp-env: {done} of {total} {what}")

@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import tyro
 from pydantic import Field
@@ -33,7 +32,7 @@ from mecp_env.cli.options import (
     EnvironmentFields,
     Estimator,
     Reading,
-    ReadingOptions,
+    ReadsPlans,
     SplitName,
     TaskName,
     WithModules,
@@ -42,16 +41,27 @@ from mecp_env.cli.options import (
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import exists, is_folder, write_atomic
+from mecp_env.core.intervals import Figures
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
+from mecp_env.policies.evaluation import Evaluation, Row, write_result
+from mecp_env.policies.registry import EXPLORERS, LEARNED, OURS, make_policy, policy_names, training_hours
+from mecp_env.policies.report import draw_curves, overview, page, write_film
+from mecp_env.policies.setting import Setting, plan_fields
+from mecp_env.policies.suites import (
+    METRICS,
+    SUITES,
+    Training,
+    check_name,
+    find_suite,
+    leaderboard,
+    read_submission,
+    reference_rows,
+    refuse_changes,
+    submission,
+)
 from mecp_env.world.config import CrowdConfig
 from mecp_env.world.layout import shipped_layouts
-
-if TYPE_CHECKING:
-    from mecp_env.core.intervals import Figures
-    from mecp_env.policies.evaluation import Evaluation, Row
-    from mecp_env.policies.rollout import EpisodeResult
-    from mecp_env.policies.setting import Setting
 
 QUICK = "active-quick-v1"
 MOST_MASKED = 0.1  # of the decisions of a policy, before it is told
@@ -60,7 +70,7 @@ READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.n
 
 
 @dataclass(frozen=True)
-class Evaluate(WithModules):
+class Evaluate(WithModules, ReadsPlans):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
     and, with --record, a film. A policy is bfs, nearest, next_best_view, gain, pause, returning, stachniss,
     random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished
@@ -112,7 +122,6 @@ class Evaluate(WithModules):
     max_steps: Steps | None = None  # of an episode (control steps of 0.4 s); by default 3000, in a task 1500
     json: Path | None = None  # also write the result there, and the page beside it
     out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
-    reading: ReadingOptions = field(default_factory=Reading)  # of --plans and --layout
     crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
 
@@ -139,8 +148,6 @@ class Evaluate(WithModules):
 
     def _setting(self, line: Line) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
-        from mecp_env.policies.setting import Setting, plan_fields
-
         limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
         setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=self._changes(line))
         if self.plans is None and not self.layout:
@@ -174,8 +181,6 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Line) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
-        from mecp_env.policies.suites import check_name, submission
-
         for name in self.policies:
             check_name(name, "policies")
         done = self.suite_rows()
@@ -190,8 +195,6 @@ class Evaluate(WithModules):
 
     def suite_rows(self) -> list[tuple[Setting, list[Row]]] | int:
         """The rows of every setting of the suite; an exit code where an episode failed, or after Ctrl-C."""
-        from mecp_env.policies.suites import find_suite
-
         suite, done = find_suite(self.suite), []
         for setting in suite.settings:
             evaluation, _ = self._evaluated(setting, suite.episodes, setting.task or setting.difficulty)
@@ -206,8 +209,6 @@ class Evaluate(WithModules):
 
     def _evaluated(self, setting: Setting, episodes: int, name: str) -> tuple[Evaluation, Path]:
         """All episodes in a setting, or those of a shard, and the folder below `out` where they are kept."""
-        from mecp_env.policies.evaluation import Evaluation
-
         parts = (self.policies, setting, episodes, self.truth, self.known, self.reference, self.trust)
         evaluation = Evaluation(*parts, Shard.parse(self.shard))
         self._check(evaluation)
@@ -217,9 +218,6 @@ class Evaluate(WithModules):
 
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
-        from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
-        from mecp_env.policies.suites import refuse_changes
-
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
@@ -239,9 +237,6 @@ class Evaluate(WithModules):
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
-        from mecp_env.policies.evaluation import write_result
-        from mecp_env.policies.report import overview, page
-
         rows = evaluation.rows()
         report_masked(evaluation)
         if not rows:
@@ -258,8 +253,6 @@ class Evaluate(WithModules):
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film."""
-        from mecp_env.policies.report import draw_curves, write_film
-
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:
             where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
@@ -271,8 +264,6 @@ class Evaluate(WithModules):
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
-    from mecp_env.policies.suites import leaderboard, reference_rows
-
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
     table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
     echo(*table.split("\n"), f"written to {path}")
@@ -280,22 +271,14 @@ def write_submission(result: dict[str, Any], path: Path) -> None:
 
 def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) -> None:
     """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
-    total = len(evaluation.tasks())
     with closing(evaluation.run(kept, jobs, cluster)) as results:
         try:
-            for done, result in enumerate(tracked(results, total, "episodes"), start=1):
-                report(result, done, total)
+            for result in tracked(results, len(evaluation.tasks()), "episodes"):
+                if isinstance(result, FailedUnit):
+                    print_error(f"failed: {result}")
         except KeyboardInterrupt:
             evaluation.interrupted = True
             print_error("interrupted; the same command continues")
-
-
-def report(result: EpisodeResult | FailedUnit, done: int, total: int) -> None:
-    """Print a failure; without a terminal, also a line at every tenth of the way."""
-    if isinstance(result, FailedUnit):
-        print_error(f"failed: {result}")
-    if not sys.stderr.isatty() and 10 * done // total > 10 * (done - 1) // total:
-        print_error(f"{done} of {total} episodes")
 
 
 def report_masked(evaluation: Evaluation) -> None:
@@ -328,8 +311,6 @@ class Leaderboard(Command):
 
     def run(self, line: Line) -> int:
         """Print the table."""
-        from mecp_env.policies.suites import METRICS, SUITES, leaderboard, read_submission, reference_rows
-
         check_word("metric", self.metric, METRICS)
         found = {str(path): read_submission(path) for path in self.files}
         suite = self._suite([content["suite"] for content in found.values()])
@@ -341,8 +322,6 @@ class Leaderboard(Command):
 
     def _suite(self, named: Sequence[str]) -> str:
         """The suite of the files and of the option. Raises `ConfigError` for several, and for an unknown one."""
-        from mecp_env.policies.suites import SUITES
-
         suites = sorted({*named, *([self.suite] if self.suite else [])}) or [QUICK]
         if len(suites) > 1:
             raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
@@ -379,9 +358,6 @@ class Submit(WithModules):
 
     def run(self, line: Line) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
-        from mecp_env.policies.registry import training_hours
-        from mecp_env.policies.suites import Training, submission
-
         suite, name = QUICK if self.quick else self.suite, self._name()
         path = check_json(self.out or Path("runs") / f"{re.sub('[/:]', '-', f'{name}-{suite}')}.json", "out")
         options = {"truth": False, "reference": self.policy, "trust": self.trust, "jobs": self.jobs}
@@ -395,9 +371,6 @@ class Submit(WithModules):
 
     def _name(self) -> str:
         """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""
-        from mecp_env.policies.registry import LEARNED, OURS
-        from mecp_env.policies.suites import check_name
-
         path = Path(self.policy)
         default = (path.stem if path.is_file() else path.name) if path.exists() else self.policy
         name = check_name(self.name or default)

@@ -20,10 +20,9 @@ from mecp_env.cli.base import (
     check_folder,
     check_writable,
     echo,
-    exit_code,
     print_error,
 )
-from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map, spare_sources
+from mecp_env.cli.options import KeepsMap, named_fields, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
@@ -55,7 +54,7 @@ SlamFields.__name__, NoiseFields.__name__ = "--config", "--noise"  # errors then
 
 
 @dataclass(frozen=True)
-class Slam(WithModules):
+class Slam(KeepsMap):
     """Map a recorded log: a CARMEN log, a ROS 1 or ROS 2 bag, or a NumPy archive; keep pictures, figures and paths."""
 
     examples: ClassVar[tuple[str, ...]] = (
@@ -87,8 +86,6 @@ class Slam(WithModules):
     rest_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.05  # and less turn than this, are skipped
     from_map: Path | None = None  # a saved map to go on in
     start: str = "saved"  # where, in that map: saved, unknown (it is searched for), or a pose as X,Y,HEADING
-    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
-    save_map: Path | None = None  # file for the map, which the estimator can localise in (a .zip)
     config: SlamFields = field(default_factory=SlamFields)  # any field of the estimator
     noise_from: Annotated[Literal["auto", "paper"], tyro.conf.arg(name="noise")] = "auto"  # auto: found by registration
     # of the log's scans, with scale and bias of its odometry and mounting of its laser; paper: nothing is corrected
@@ -98,17 +95,14 @@ class Slam(WithModules):
 
     def run(self, line: Line) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
-        from mecp_env.cli.runs import (
-            LOG_FILES,
-            LogFiles,
-            print_figures,
-        )  # loaded only here, so that help and errors come at once
+        from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures  # here, so that help and errors come at once
         from mecp_env.core.warm_up import prepare
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
+        from mecp_env.render.progress import Bar
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in LOG_FILES], [str(path) for path in (self.log, self.from_map) if path])
-        check_map(self.save_map, str(self.log), "slam")
+        self.check_map(str(self.log), "slam")
         log, fault = self._checked(self._read())
         pipeline, calibration = self._estimator(log, fault, line)
         keys = "odometry", "seed", "rest_m", "rest_deg"
@@ -119,19 +113,20 @@ class Slam(WithModules):
         print_calibration(calibration)
         planned = len(drive.planned())
         prepare()
-        files = LogFiles(log, planned, rerun_log(self.rerun))
-        with files.bar() as bar, suppress(KeyboardInterrupt):
+        files = LogFiles(log, planned, self.recording())
+        echo(f"mapping {log.name}")
+        with Bar(planned) as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():
                 files.look(output, drive.rows[-1])
-                bar.show(len(files.path), files.state)
-        end_rerun(files.rerun, self.rerun)
+                files.show(bar)
+        self.end_recording(files.rerun)
         if drive.output is None and drive.ended == "interrupted":
             return INTERRUPTED
         run = drive.result()
-        saved = save_map(run.pipeline, self.save_map)
+        code = self.keep_map(run.pipeline)
         metrics = files.keep(folder, run, self._recipe(run, options))
         print_figures(f"log {run.ended}", metrics, folder)
-        return exit_code(self._ended(run, options, fault), saved)
+        return self._ended(run, options, fault) or code
 
     def _ended(self, run: LogRun, options: LogRunConfig, of_laser: str | None) -> int:
         """The exit code, with the reason where the result is of no use, and what is wrong with the laser."""

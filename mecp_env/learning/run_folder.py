@@ -26,7 +26,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 from pydantic import BaseModel, ConfigDict
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file
@@ -41,6 +40,7 @@ from mecp_env.learning.environments import FIGURES
 from mecp_env.learning.exported import check_archive, check_finite
 from mecp_env.learning.learned import MOST_POLICY_BYTES, write_json
 from mecp_env.render.figures import drawn, open_axes, save
+from mecp_env.render.progress import Bar
 
 fcntl: Any
 CLOCK = ("decisions", "periods", "episodes", "seconds")
@@ -49,7 +49,6 @@ TABLES = {
     "progress.csv": (*CLOCK, "periods_per_s", "waiting_share", *FIGURES, *LOSSES, "learning_rate"),
     "evaluation.csv": (*CLOCK, "n", "auc_error", *FIGURES),
 }
-BAR_WIDTH = 12
 
 
 try:
@@ -227,10 +226,8 @@ class RunLog:
 
     def __init__(self, folder: Path, steps: int, tensorboard: bool) -> None:
         self.folder, self.tensorboard = folder, tensorboard
-        columns = (BarColumn(BAR_WIDTH), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
-        self.bar = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.description}"))
-        self.task = self.bar.add_task("starting", total=steps)
-        self.steps, self.tenths = steps, 0
+        self.bar, self.steps, self.found = Bar(steps), steps, "starting"
+        self.echo = self.bar.echo
         self.loggers: list[Logger] = []
 
     def __enter__(self) -> Self:
@@ -250,17 +247,10 @@ class RunLog:
         self.training, self.evaluation = self.loggers
         self.advance(decisions)
 
-    def advance(self, decisions: int, description: str | None = None) -> None:
-        """Update the progress bar; without a terminal, print a line at every tenth of the way."""
-        self.bar.update(self.task, completed=decisions, description=description)
-        tenths = 10 * decisions // self.steps
-        if tenths > self.tenths and not self.bar.console.is_terminal:
-            self.echo(f"{decisions:,} of {self.steps:,} decisions, {description or 'continued'}")
-        self.tenths = tenths
-
-    def echo(self, text: str) -> None:
-        """Print a line above the bar."""
-        self.bar.console.print(text, markup=False, highlight=False)
+    def advance(self, decisions: int, found: str = "") -> None:
+        """Update the progress bar; `found` stays beside it until the next one."""
+        self.found = found or self.found
+        self.bar.show(decisions, self.found, f"{decisions:,} of {self.steps:,} decisions, {self.found}")
 
     def add_evaluation(self, clock: Mapping[str, Any], figures: Mapping[str, float], best: bool) -> None:
         """Log an evaluation."""

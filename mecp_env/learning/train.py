@@ -175,8 +175,8 @@ class RunCallback(BaseCallback):
         for name, value in (self.clock() | {"periods_per_s": rate, "waiting_share": waiting}).items():
             self.logger.record(f"time/{name}", value)
         area = self.logger.name_to_value.get("rollout/auc")
-        text = f"{rate:,.0f} steps/s, waiting {waiting:.0%}"
-        self.log.advance(self.state.decisions, text if area is None else f"area {area:.3f}, {text}")
+        found = "" if area is None else f"area {area:.3f}, "
+        self.log.advance(self.state.decisions, f"{found}{rate:,.0f} steps/s, waiting {waiting:.0%}")
 
     def _on_training_end(self) -> None:
         check_finite(self.model.policy)

@@ -118,6 +118,12 @@ def explored() -> Run:
     return run
 
 
+def keep(run: Run, folder: Path) -> None:
+    """Write all files of a run."""
+    run.keep_data(folder, Stopwatch())
+    run.keep_pictures(folder)
+
+
 @pytest.mark.parametrize(
     ("bytes_left", "name"),
     [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (100_000, "map.png")],
@@ -131,7 +137,7 @@ def test_a_full_disk_names_the_file_and_keeps_the_data(
     resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, hard))
     try:
         with pytest.raises(OSError, match="too large") as error:
-            explored.keep(tmp_path, Stopwatch())
+            keep(explored, tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert error.value.filename == str(tmp_path / name)
