@@ -259,6 +259,7 @@ def test_a_model_that_tries_actions_at_random_does_so_by_the_seed_of_the_episode
     """Seen: DQN drew from generators that nothing had seeded, so that an episode had another score each time."""
     env = gymnasium.make("mecp_env/First-v0")
     model = stock.DQN("MlpPolicy", env, device="cpu", buffer_size=10, policy_kwargs={"net_arch": [4]})
+    model.exploration_rate = 0.9  # as early in a training
     model.save(tmp_path / "model.zip")
     (tmp_path / "model.json").write_text('{"deterministic": false}')
     observation, _ = env.reset(seed=0)
