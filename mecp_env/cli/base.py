@@ -6,10 +6,12 @@ How a command ends: its exit code, and one line on stderr instead of a traceback
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import os
 import sys
 import tempfile
+import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -84,10 +86,18 @@ class Line(tuple[str, ...]):
 
 
 class Command(ABC):
-    """A command: a dataclass of its options, whose docstring is its help. Types may have bounds, as `Seed` has."""
+    """A command: a dataclass of its options. Types may have bounds, as `Seed` has.
 
-    examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
+    The docstring is its help: a paragraph, and below it examples of lines that a user may type.
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> those that have no meaning beside it
+
+    @classmethod
+    def help(cls) -> tuple[str, list[str]]:
+        """What the command does, and its examples."""
+        about, _, examples = inspect.cleandoc(cls.__doc__ or "").partition("\n\nExamples:\n")
+        return about, textwrap.dedent(examples).splitlines()
 
     @classmethod
     def completed(cls, line: Line) -> Line:

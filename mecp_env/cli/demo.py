@@ -5,7 +5,7 @@ from __future__ import annotations
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from pydantic import Field
@@ -34,16 +34,16 @@ REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a p
 
 @dataclass(frozen=True)
 class Demo(KeepsMap, ReadsPlans):
-    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths."""
+    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env demo --layout two_rooms",
-        "mecp-env demo --layout office --seed 3 --render human",
-        "mecp-env demo --layout hard:7",
-        "mecp-env demo --layout scan.png --resolution-m 0.05 --free-above 230",
-        "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
-        "mecp-env demo --config.laser.preset urg04lx --config.odometry.preset turtlebot",
-    )
+    Examples:
+        mecp-env demo --layout two_rooms
+        mecp-env demo --layout office --seed 3 --render human
+        mecp-env demo --layout hard:7
+        mecp-env demo --layout scan.png --resolution-m 0.05 --free-above 230
+        mecp-env demo --config.slam.filter.kind ekf --out runs/ekf
+        mecp-env demo --config.laser.preset urg04lx --config.odometry.preset turtlebot
+    """
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
     seed: Seed = 0  # the same seed gives the same run
@@ -88,13 +88,13 @@ class Demo(KeepsMap, ReadsPlans):
 
 @dataclass(frozen=True)
 class OneScan(WithModules, ReadsPlans):
-    """Follow one scan through the stages: one picture each, as in docs/one-scan.md."""
+    """Follow one scan through the stages: one picture each, as in docs/one-scan.md.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env one-scan",
-        "mecp-env one-scan --layout hard:7",
-        "mecp-env one-scan --layout office --step 10 --out runs/office-scan",
-    )
+    Examples:
+        mecp-env one-scan
+        mecp-env one-scan --layout hard:7
+        mecp-env one-scan --layout office --step 10 --out runs/office-scan
+    """
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
     seed: Seed = 0  # the same seed gives the same run
@@ -148,13 +148,13 @@ def recognition(run: Run, step: int) -> SlamOutput:
 class Replay(Command):
     """Make the page that plays a run: world and belief side by side, with a time slider, why each corner was matched or
     not, and curves. RUN is the folder of a run, or its page, which gets the player of this version. A folder of `demo`
-    without a page is explored again, with the same bits."""
+    without a page is explored again, with the same bits.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env replay runs/paper-0",
-        "mecp-env replay runs/paper-0 --browser",
-        "mecp-env replay runs/training/replays/episode-0003.html --out best.html",
-    )
+    Examples:
+        mecp-env replay runs/paper-0
+        mecp-env replay runs/paper-0 --browser
+        mecp-env replay runs/training/replays/episode-0003.html --out best.html
+    """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="RUN", metavar="RUN")]
     out: Path | None = None  # file of the page; default: replay.html in the folder of the run, or the page itself

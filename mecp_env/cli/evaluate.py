@@ -75,19 +75,20 @@ class Evaluate(WithModules, ReadsPlans):
     and, with --record, a film. A policy is bfs, nearest, next_best_view, gain, pause, returning, stachniss,
     random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished
     episodes are kept in OUT/episodes: the same command continues after a kill. Jobs with --shard 1/4 to 4/4 divide the
-    buildings; then the command without --shard combines their episodes."""
+    buildings; then the command without --shard combines their episodes.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",
-        "mecp-env evaluate nearest runs/my-training --split validation --no-truth",
-        "mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard",
-        "mecp-env evaluate nearest returning --task ActiveHalls-v0 --known --episodes 20",
-        "mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8",
-        "mecp-env evaluate nearest gain --plans my-plans --episodes 30 --env.laser.max-range-m 8",
-        "mecp-env evaluate gain stachniss --plans my-plans --task ActiveHalls-v0 --env.odometry.scale 2",
-        "mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20",
-        "mecp-env evaluate bfs nearest --out runs/big --shard 1/4",
-    )
+    Examples:
+        mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2
+        mecp-env evaluate nearest runs/my-training --split validation --no-truth
+        mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard
+        mecp-env evaluate nearest returning --task ActiveHalls-v0 --known --episodes 20
+        mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8
+        mecp-env evaluate nearest gain --plans my-plans --episodes 30 --env.laser.max-range-m 8
+        mecp-env evaluate gain stachniss --plans my-plans --task ActiveHalls-v0 --env.odometry.scale 2
+        mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20
+        mecp-env evaluate bfs nearest --out runs/big --shard 1/4
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {
         "suite": (
             *("task", "plans", "layout", "env", "crowd", "difficulty", "split", "episodes"),
@@ -296,13 +297,13 @@ def report_masked(evaluation: Evaluation) -> None:
 @dataclass(frozen=True)
 class Leaderboard(Command):
     """One table of results of `mecp-env submit` or `mecp-env evaluate --suite` and the package's reference rows, the
-    best policy first. A file of another suite, of another version of it, or one that was changed, is refused."""
+    best policy first. A file of another suite, of another version of it, or one that was changed, is refused.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env leaderboard",
-        "mecp-env leaderboard runs/mine-active-quick-v1.json",
-        "mecp-env leaderboard runs/mine/active-v1.json results/others.json --metric lost",
-    )
+    Examples:
+        mecp-env leaderboard
+        mecp-env leaderboard runs/mine-active-quick-v1.json
+        mecp-env leaderboard runs/mine/active-v1.json results/others.json --metric lost
+    """
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...")] = ()
     metric: str = "correct_over_steps"  # or correct_over_metres, correct_coverage, auc, coverage, lost, complete
@@ -333,13 +334,14 @@ class Submit(WithModules):
     """Score one policy in a frozen benchmark, write its result file, and show it beside the reference rows. A policy is
     a shipped name, the folder of a training run, a custom class as module:Class, a model file of Stable-Baselines3
     (.zip), or TorchScript (.pt) or ONNX (.onnx) with a JSON file beside it (docs/submissions.md). Finished episodes are
-    kept beside the file: the same command continues after a kill."""
+    kept beside the file: the same command continues after a kill.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env submit my_module:MyPolicy --quick --jobs 2",
-        "mecp-env submit model.zip --trust --quick --name my-ppo --hours 2",
-        "mecp-env submit runs/my-training --suite active-v1 --jobs 8 --out results/mine.json",
-    )
+    Examples:
+        mecp-env submit my_module:MyPolicy --quick --jobs 2
+        mecp-env submit model.zip --trust --quick --name my-ppo --hours 2
+        mecp-env submit runs/my-training --suite active-v1 --jobs 8 --out results/mine.json
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"quick": ("suite",)}
 
     policy: Annotated[str, tyro.conf.Positional]

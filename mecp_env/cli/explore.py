@@ -26,16 +26,17 @@ EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task i
 class Explore(KeepsMap, ReadsPlans):
     """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest,
     next_best_view, gain, pause, returning, stachniss, random_goal, random_walk, maskable_ppo, the folder of a training
-    run, or a custom class as module:Class."""
+    run, or a custom class as module:Class.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env explore gain --layout office",
-        "mecp-env explore gain --difficulty hard --seed 3",
-        "mecp-env explore maskable_ppo --layout medium:test:3 --start random",
-        "mecp-env explore pause --layout ActiveHalls-v0:validation:0 --replay runs/halls",
-        "mecp-env explore nearest --layout office --save-map office.zip",
-        "mecp-env explore runs/my-training --layout hard:7 --estimator truth",
-    )
+    Examples:
+        mecp-env explore gain --layout office
+        mecp-env explore gain --difficulty hard --seed 3
+        mecp-env explore maskable_ppo --layout medium:test:3 --start random
+        mecp-env explore pause --layout ActiveHalls-v0:validation:0 --replay runs/halls
+        mecp-env explore nearest --layout office --save-map office.zip
+        mecp-env explore runs/my-training --layout hard:7 --estimator truth
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"layout": ("difficulty", "task"), "task": ("difficulty",)}
 
     policy: Annotated[str, tyro.conf.Positional]
@@ -143,14 +144,15 @@ def end_line(terminated: bool, info: Mapping[str, Any]) -> str:
 @dataclass(frozen=True)
 class RecordDataset(WithModules):
     """Record episodes of a policy as a Minari dataset, one building per episode. A policy is random_goal,
-    random_walk, bfs, nearest, gain, maskable_ppo, the folder of a training run, or a custom class as module:Class."""
+    random_walk, bfs, nearest, gain, maskable_ppo, the folder of a training run, or a custom class as module:Class.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env record-dataset bfs --episodes 100",
-        "mecp-env record-dataset gain --actions velocity --difficulty easy",
-        "mecp-env record-dataset maskable_ppo --observation dict --out runs/datasets",
-        "mecp-env record-dataset nearest --task ActiveHalls-v0 --name my/halls-v0",
-    )
+    Examples:
+        mecp-env record-dataset bfs --episodes 100
+        mecp-env record-dataset gain --actions velocity --difficulty easy
+        mecp-env record-dataset maskable_ppo --observation dict --out runs/datasets
+        mecp-env record-dataset nearest --task ActiveHalls-v0 --name my/halls-v0
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"task": ("difficulty",)}
 
     policy: Annotated[str, tyro.conf.Positional]

@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 import pygame
@@ -51,14 +51,14 @@ HELP = "Time stands still while no key is held. Find every room and door; green 
 class Play(WithModules, ReadsPlans):
     """Drive through a building by keyboard: left the world, right what the robot believes of it. The keys are listed in
     the window: arrows or W A S D drive, Shift slowly, Space waits, H hides the world, P keeps a picture, R begins
-    again, N takes the next building of a series or folder, or else the next seed, Esc quits."""
+    again, N takes the next building of a series or folder, or else the next seed, Esc quits.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env play",
-        "mecp-env play --layout medium:0",
-        "mecp-env play --layout runs/worlds --rate 10",
-        "mecp-env play --layout office --config.slam.filter.kind ekf --config.start random",
-    )
+    Examples:
+        mecp-env play
+        mecp-env play --layout medium:0
+        mecp-env play --layout runs/worlds --rate 10
+        mecp-env play --layout office --config.slam.filter.kind ekf --config.start random
+    """
 
     layout: str = "two_rooms"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, a plan, or a folder of plans
     seed: Seed = 0  # of the noise

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from pydantic import Field
@@ -55,17 +55,17 @@ SlamFields.__name__, NoiseFields.__name__ = "--config", "--noise"  # errors then
 
 @dataclass(frozen=True)
 class Slam(KeepsMap):
-    """Map a recorded log: a CARMEN log, a ROS 1 or ROS 2 bag, or a NumPy archive; keep pictures, figures and paths."""
+    """Map a recorded log: a CARMEN log, a ROS 1 or ROS 2 bag, or a NumPy archive; keep pictures, figures and paths.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env slam intel.log",
-        "mecp-env slam office.bag --scan-topic /front/scan --out runs/office",
-        "mecp-env slam fr079.npz --odometry reference --seed 1 --save-map fr079.zip",
-        "mecp-env slam monday.bag --from-map fr079.zip --start unknown",
-        "mecp-env slam intel.log --config.sensor.range-sigma-m 0.03 --config.sensor.x-m 0.1",
-        "mecp-env slam intel.log --noise.turn-sigma-deg 4.5 --noise.distance-scale 1.02",
-        "mecp-env slam intel.log --noise paper",
-    )
+    Examples:
+        mecp-env slam intel.log
+        mecp-env slam office.bag --scan-topic /front/scan --out runs/office
+        mecp-env slam fr079.npz --odometry reference --seed 1 --save-map fr079.zip
+        mecp-env slam monday.bag --from-map fr079.zip --start unknown
+        mecp-env slam intel.log --config.sensor.range-sigma-m 0.03 --config.sensor.x-m 0.1
+        mecp-env slam intel.log --noise.turn-sigma-deg 4.5 --noise.distance-scale 1.02
+        mecp-env slam intel.log --noise paper
+    """
 
     log: Annotated[Path, tyro.conf.Positional]
     out: Path | None = None  # folder for what is kept; default: runs/slam-NAME
@@ -266,12 +266,12 @@ def print_calibration(calibration: Calibration | None) -> None:
 
 @dataclass(frozen=True)
 class Export(Command):
-    """Write landmarks, rooms, a graph or the grid of a saved map (--save-map) for other programs."""
+    """Write landmarks, rooms, a graph or the grid of a saved map (--save-map) for other programs.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env export map.zip --landmarks x.csv --rooms x.geojson",
-        "mecp-env export map.zip --joint-covariance x.npz",
-    )
+    Examples:
+        mecp-env export map.zip --landmarks x.csv --rooms x.geojson
+        mecp-env export map.zip --joint-covariance x.npz
+    """
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]
     landmarks: Path | None = None  # .csv: position and covariance of each landmark

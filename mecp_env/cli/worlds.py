@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import fmean, median
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import tyro
 from pydantic import Field
@@ -35,9 +35,11 @@ Out = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
 
 @dataclass(frozen=True)
 class List(Command):
-    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds."""
+    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds.
 
-    examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
+    Examples:
+        mecp-env worlds list
+    """
 
     def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
@@ -50,12 +52,12 @@ class List(Command):
 
 @dataclass(frozen=True)
 class Validate(ReadsPlans):
-    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong."""
+    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds validate my-house.json",
-        "mecp-env worlds validate runs/worlds",
-    )
+    Examples:
+        mecp-env worlds validate my-house.json
+        mecp-env worlds validate runs/worlds
+    """
 
     files: Buildings  # files, folders, or any building as for draw
 
@@ -90,13 +92,13 @@ def _tell_left_out(folder: Path, reading: Reading) -> None:
 
 @dataclass(frozen=True)
 class Convert(ReadsPlans):
-    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg."""
+    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds convert plan.yaml house.json",
-        "mecp-env worlds convert scan.png house.json --resolution-m 0.05",
-        "mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1",
-    )
+    Examples:
+        mecp-env worlds convert plan.yaml house.json
+        mecp-env worlds convert scan.png house.json --resolution-m 0.05
+        mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1
+    """
 
     source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
     target: Out  # .json, .yaml or .svg
@@ -161,14 +163,14 @@ def _presets() -> Table:
 
 @dataclass(frozen=True)
 class Draw(ReadsPlans):
-    """Draw floor plans: one building as a picture, several as a sheet."""
+    """Draw floor plans: one building as a picture, several as a sheet.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds draw office",
-        "mecp-env worlds draw hard:0-8 --out runs/hard.png",
-        "mecp-env worlds draw my-house.json paper --out runs/two.svg",
-        "mecp-env worlds draw scan.png --resolution-m 0.05",
-    )
+    Examples:
+        mecp-env worlds draw office
+        mecp-env worlds draw hard:0-8 --out runs/hard.png
+        mecp-env worlds draw my-house.json paper --out runs/two.svg
+        mecp-env worlds draw scan.png --resolution-m 0.05
+    """
 
     worlds: Buildings  # shipped names, hard:7, hard:0-9 (difficulty and seeds), files, folders
     out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
@@ -216,13 +218,13 @@ RANGES = [option for option, value in FIELDS.items() if isinstance(value, tuple)
 @dataclass(frozen=True)
 class Generate(Command):
     """Generate buildings: layout files whose rooms, doors and loops are known. Every field of the specification is an
-    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it)."""
+    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it).
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds generate --difficulty hard --seed 7",
-        "mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png",
-        "mecp-env worlds generate --difficulty easy --split test --count 10",
-    )
+    Examples:
+        mecp-env worlds generate --difficulty hard --seed 7
+        mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png
+        mecp-env worlds generate --difficulty easy --split test --count 10
+    """
 
     difficulty: Difficulty = "medium"  # the preset below the other options
     seed: Seed = 0  # the first seed; with a split, the first building of the split
@@ -304,13 +306,13 @@ Figures = Mapping[str, float]
 @dataclass(frozen=True)
 class Stats(ReadsPlans):
     """Figures of buildings: rooms, doors, loops, floor, faces and corners that a laser can see, obstacles, and the
-    longest corridor (a room three times as long as wide). Of a series of seeds: the median, and from least to most."""
+    longest corridor (a room three times as long as wide). Of a series of seeds: the median, and from least to most.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds stats",
-        "mecp-env worlds stats paper office hard:7",
-        "mecp-env worlds stats easy:0-99 medium:0-99 --json",
-    )
+    Examples:
+        mecp-env worlds stats
+        mecp-env worlds stats paper office hard:7
+        mecp-env worlds stats easy:0-99 medium:0-99 --json
+    """
 
     worlds: Buildings = ()  # as for draw; none: all that are shipped
     json: bool = False  # as JSON, with every figure

@@ -233,8 +233,10 @@ def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
 
 def test_every_command_can_be_loaded_and_has_examples() -> None:
     for words in cli.COMMANDS:
-        assert all(example.startswith(f"mecp-env {words}") for example in cli.load(words).examples)
-        assert cli.load(words).examples
+        about, examples = cli.load(words).help()
+        assert about.endswith(".")
+        assert examples
+        assert all(example.startswith(f"mecp-env {words}") for example in examples)
 
 
 def test_the_overview_loads_no_command_and_the_package_runs_as_a_module() -> None:
