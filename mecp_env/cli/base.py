@@ -125,7 +125,7 @@ class Command(ABC):
     @property
     def keeps_results(self) -> bool:
         """True when files are the result: the run goes on when the reader of its output is gone (`demo | head`)."""
-        return False
+        return True
 
     @abstractmethod
     def run(self, line: Line) -> int:

@@ -52,8 +52,6 @@ class Demo(KeepsMap, ReadsPlans):
     replay: bool = True  # keep the page that plays the run in a browser
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
-    keeps_results = True
-
     def run(self, line: Line) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
         from mecp_env.cli.runs import FILES, Run, print_figures  # here, so that help and errors come at once
@@ -100,8 +98,6 @@ class OneScan(WithModules, ReadsPlans):
     seed: Seed = 0  # the same seed gives the same run
     step: Annotated[int, Field(ge=0)] = 40  # the first scan from here on in which a polygon of the map is recognised
     out: OutFolder = Path("runs/one-scan")  # folder for the pictures
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
@@ -159,8 +155,6 @@ class Replay(Command):
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="RUN", metavar="RUN")]
     out: Path | None = None  # file of the page; default: replay.html in the folder of the run, or the page itself
     browser: bool = False  # show it in the browser
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""

@@ -65,6 +65,8 @@ class Doctor(Command):
 
     seconds: Annotated[float, Field(ge=0.1, le=600.0)] = 2.0  # how long the self-test drives
 
+    keeps_results = False
+
     def run(self, line: Line) -> int:
         """Print the finding of each check as soon as it is known."""
         counts = dict.fromkeys(COLOURS, 0)
@@ -239,6 +241,8 @@ class Completion(Command):
     """
 
     shell: tyro.conf.Positional[Shell]
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Let the parser of all commands write the script; it is not run."""

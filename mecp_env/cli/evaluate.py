@@ -126,8 +126,6 @@ class Evaluate(WithModules, ReadsPlans):
     crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
 
-    keeps_results = True
-
     def check(self, line: Line) -> None:
         """Raise `ConfigError` for a way of reading plans without any, too."""
         super().check(line)
@@ -310,6 +308,8 @@ class Leaderboard(Command):
     suite: str = ""  # by default that of the files, without files active-quick-v1
     references: bool = True  # with the reference rows of the package
 
+    keeps_results = False
+
     def run(self, line: Line) -> int:
         """Print the table."""
         check_word("metric", self.metric, METRICS)
@@ -355,8 +355,6 @@ class Submit(WithModules):
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # trainings that the policy was chosen from
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""

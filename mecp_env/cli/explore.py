@@ -169,8 +169,6 @@ class RecordDataset(WithModules):
     out: Path | None = None  # folder of the datasets; by default that of minari
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
-    keeps_results = True
-
     def run(self, line: Line) -> int:
         """Record the episodes; after Ctrl-C the dataset has those that were finished."""
         from mecp_env.policies.recording import DatasetWriter, Recording, default_name

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 from pydantic import Field
@@ -90,8 +90,6 @@ class Slam(KeepsMap):
     noise_from: Annotated[Literal["auto", "paper"], tyro.conf.arg(name="noise")] = "auto"  # auto: found by registration
     # of the log's scans, with scale and bias of its odometry and mounting of its laser; paper: nothing is corrected
     noise: NoiseFields = field(default_factory=NoiseFields)
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
@@ -203,10 +201,8 @@ class Slam(KeepsMap):
 
     def _start(self) -> MapStart:
         """Where to begin in the map. Raises `ConfigError`."""
-        if self.start == "saved":
-            return "saved"
-        if self.start == "unknown":
-            return "unknown"
+        if self.start in ("saved", "unknown"):
+            return cast("MapStart", self.start)
         try:
             x, y, heading = map(float, self.start.split(","))
         except ValueError:
@@ -235,13 +231,6 @@ UNITS = {  # of the fields of a calibration; the others have none
     "turn_sigma_turning_deg": "deg per sqrt(rad)",
     "range_sigma_m": "m",
 }
-COLUMNS: dict[str, Literal["left", "right"]] = {
-    "field": "left",
-    "value": "right",
-    "sigma": "right",
-    "unit": "left",
-    "source": "left",
-}
 
 
 def print_calibration(calibration: Calibration | None) -> None:
@@ -249,15 +238,14 @@ def print_calibration(calibration: Calibration | None) -> None:
     if calibration is None:
         return
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
-    table = Table(title=title, title_justify="left")
-    for column, side in COLUMNS.items():
-        table.add_column(column, justify=side)
+    value, sigma = (Column(name, justify="right") for name in ("value", "sigma"))
+    table = Table("field", value, sigma, "unit", "source", title=title, title_justify="left")
     for name, estimate in calibration.estimates.items():
-        sigma = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
-        table.add_row(name, f"{estimate.value:.4f}", sigma, UNITS.get(name, ""), estimate.source)
+        spread = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
+        table.add_row(name, f"{estimate.value:.4f}", spread, UNITS.get(name, ""), estimate.source)
     if calibration.range_noise_m is not None:
         table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
     Console().print(table)
@@ -279,8 +267,6 @@ class Export(Command):
     rooms: Path | None = None  # .geojson: outlines of rooms and doors, in metres of the map frame
     g2o: Path | None = None  # .g2o: the pose and the landmarks as a graph
     grid: Path | None = None  # .yaml: the grid for map_server, with its .pgm beside it
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Read the map, write every file that is asked for, a line each."""

@@ -45,14 +45,11 @@ class Train(WithModules):
 
     def run(self, line: Line) -> int:
         """Train to the end, or until Ctrl-C; 1 when a worker died, a weight is not finite, or the disk is full."""
-        from mecp_env.cli.base import unbreakable_output
-
         config, folder = self.resumed(line) if self.resume else self.new(line)
-        with unbreakable_output():
-            code = self._train(config, folder)
-            echo(f"{ENDS[code]}: {folder}")
-            if code:
-                echo(f"continue with: mecp-env train --resume {folder}")
+        code = self._train(config, folder)
+        echo(f"{ENDS[code]}: {folder}")
+        if code:
+            echo(f"continue with: mecp-env train --resume {folder}")
         return code
 
     def _train(self, config: TrainConfig, folder: Path) -> int:

@@ -41,6 +41,8 @@ class List(Command):
         mecp-env worlds list
     """
 
+    keeps_results = False
+
     def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
         console = Console()
@@ -60,6 +62,8 @@ class Validate(ReadsPlans):
     """
 
     files: Buildings  # files, folders, or any building as for draw
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Check every file, a line each."""
@@ -103,8 +107,6 @@ class Convert(ReadsPlans):
     source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
     target: Out  # .json, .yaml or .svg
     map_resolution_m: float = 0.05  # metres per pixel of a .yaml map that is written
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Read, write, and print what was written."""
@@ -176,8 +178,6 @@ class Draw(ReadsPlans):
     out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
     dpi: Annotated[int, Field(ge=30, le=600)] = 200  # pixels per inch of a PNG, 30 to 600
 
-    keeps_results = True
-
     def run(self, line: Line) -> int:
         """Draw, and say where the picture is."""
         from mecp_env.render.plan_figures import check_count, check_format  # matplotlib is loaded only where it draws
@@ -248,8 +248,6 @@ class Generate(Command):
         chosen = [*line.first_words("--difficulty"), "medium"][0]
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
 
-    keeps_results = True
-
     def run(self, line: Line) -> int:
         """Write the files, one line on each."""
         self._check()
@@ -316,6 +314,8 @@ class Stats(ReadsPlans):
 
     worlds: Buildings = ()  # as for draw; none: all that are shipped
     json: bool = False  # as JSON, with every figure
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Measure, and print a table or JSON."""

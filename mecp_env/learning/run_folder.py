@@ -22,9 +22,7 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from pydantic import BaseModel, ConfigDict
 from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
@@ -296,11 +294,12 @@ def draw_training(folder: Path) -> Path | None:
     figure = Figure(figsize=(3.5 * len(panels), 3.4), layout="constrained")
     for axes, (name, title, factor) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         decisions, values = measured(updates, name)
-        axes.plot(decisions, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
-        axes.plot(decisions, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")
+        axes.plot(decisions / 1000, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
+        axes.plot(decisions / 1000, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")
         decisions, values = measured(evaluations, name)
-        axes.plot(decisions, factor * values, "s", color=VALIDATED, markersize=6, label="validation")
-        dress(axes, title)
+        axes.plot(decisions / 1000, factor * values, "s", color=VALIDATED, markersize=6, label="validation")
+        axes.set(xlabel="decisions, thousand", ylabel=title)
+        open_axes(axes)
     named = drawn(figure.axes[0])
     if named["handles"]:
         figure.legend(**named, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
@@ -320,13 +319,3 @@ def running_mean(values: Array) -> Array:
     """(n,) the mean of up to `SMOOTHED` values around each; fewer at the ends."""
     half = SMOOTHED // 2
     return np.array([values[max(0, i - half) : i + half + 1].mean() for i in range(len(values))])
-
-
-def dress(axes: Axes, title: str) -> None:
-    """Labels and grid."""
-    axes.set_ylabel(title, fontsize=10)
-    axes.set_xlabel("decisions, thousand", fontsize=10)
-    axes.xaxis.set_major_locator(MaxNLocator(6))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}")
-    axes.tick_params(labelsize=9)
-    open_axes(axes)

@@ -128,8 +128,8 @@ def handled_by(handler: Callable[[int, Any], Any]) -> Iterator[None]:
     try:
         yield
     finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        for number, previous in before.items():
+            signal.signal(number, previous)
 
 
 def reward_statistics(model: OnPolicyAlgorithm) -> Any:
@@ -155,9 +155,7 @@ class RunCallback(BaseCallback):
         self.saved_s = time.perf_counter()
 
     def _on_training_start(self) -> None:
-        self._start_clock()
-
-    def _start_clock(self) -> None:
+        """Also at the end of every rollout."""
         self.start_s, self.start_periods = time.perf_counter(), self.state.periods
         self.timed.waited_s = 0.0
 
@@ -185,7 +183,7 @@ class RunCallback(BaseCallback):
         seconds = time.perf_counter() - self.start_s
         self.state.seconds += seconds
         rate, waiting = (self.state.periods - self.start_periods) / seconds, self.timed.waited_s / seconds
-        self._start_clock()
+        self._on_training_start()
         for name, value in (self.clock() | {"periods_per_s": rate, "waiting_share": waiting}).items():
             self.logger.record(f"time/{name}", value)
         area = self.logger.name_to_value.get("rollout/auc")
@@ -282,7 +280,8 @@ def check_teacher(config: TrainConfig) -> None:
 def warm_start(model: Any, venv: VecNormalize, config: TrainConfig, log: RunLog) -> None:
     """Let the policy imitate the teacher, and the critic learn its returns."""
     lesson = gather(config, log)
-    scale_rewards(venv, lesson["returns"])
+    venv.ret_rms.mean, venv.ret_rms.var = np.array(lesson["returns"].mean()), np.array(lesson["returns"].var())
+    venv.ret_rms.count = float(len(lesson["returns"]))  # rewards are normalised by the returns of the teacher
     targets = torch.as_tensor(lesson.pop("returns") / np.sqrt(venv.ret_rms.var + venv.epsilon))
     actions = torch.as_tensor(lesson.pop("action"))
     tensors = {name: torch.as_tensor(values) for name, values in lesson.items()}, actions, targets
@@ -311,12 +310,6 @@ def gradient_step(model: Any, lesson: tuple[dict[str, Tensor], Tensor, Tensor], 
     with torch.no_grad():
         chosen = policy.get_distribution(given, action_masks=masks).get_actions(deterministic=True)
     return float((chosen == actions[rows]).float().mean())
-
-
-def scale_rewards(venv: VecNormalize, returns: np.ndarray) -> None:
-    """Normalise rewards by the returns of the teacher."""
-    venv.ret_rms.mean, venv.ret_rms.var = np.array(returns.mean()), np.array(returns.var())
-    venv.ret_rms.count = float(len(returns))
 
 
 def gather(config: TrainConfig, log: RunLog) -> Lesson:
