@@ -81,7 +81,7 @@ class Demo(KeepsMap, ReadsPlans):
         ended = "over, no goal left" if run.ended == "complete" else run.ended  # by the belief, not the truth
         print_figures(f"exploration {ended}", metrics, folder)
         env.close()
-        return INTERRUPTED if run.ended == "interrupted" else code
+        return {"interrupted": INTERRUPTED}.get(run.ended, code)
 
 
 @dataclass(frozen=True)

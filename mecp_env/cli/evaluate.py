@@ -272,9 +272,9 @@ def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) 
     """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
     with closing(evaluation.run(kept, jobs, cluster)) as results:
         try:
-            for result in tracked(results, len(evaluation.tasks()), "episodes"):
-                if isinstance(result, FailedUnit):
-                    print_error(f"failed: {result}")
+            finished = tracked(results, len(evaluation.tasks()), "episodes")
+            for failure in (result for result in finished if isinstance(result, FailedUnit)):
+                print_error(f"failed: {failure}")
         except KeyboardInterrupt:
             evaluation.interrupted = True
             print_error("interrupted; the same command continues")

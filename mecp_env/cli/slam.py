@@ -124,7 +124,7 @@ class Slam(KeepsMap):
         code = self.keep_map(run.pipeline)
         metrics = files.keep(folder, run, self._recipe(run, options))
         print_figures(f"log {run.ended}", metrics, folder)
-        return self._ended(run, options, fault) or code
+        return max(self._ended(run, options, fault), code)
 
     def _ended(self, run: LogRun, options: LogRunConfig, of_laser: str | None) -> int:
         """The exit code, with the reason where the result is of no use, and what is wrong with the laser."""

@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 from sb3_contrib import MaskablePPO
-from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_maskable
+from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor
@@ -108,17 +107,25 @@ def learn(model: OnPolicyAlgorithm, run: RunCallback) -> bool:
     config, log = run.folder.config, run.log
     log.start(run.state.decisions)
     model.set_logger(log.training)
-    if config.warm_start.teacher and not run.state.decisions:
-        try:
-            with handled_by(signal.default_int_handler):
-                warm_start(model, model.get_vec_normalize_env(), config, log)
-        except KeyboardInterrupt:
-            log.echo("nothing is saved yet: an interrupted warm start starts again")
-            return False
+    first = config.warm_start.teacher and not run.state.decisions
+    if first and not warm_started(model, config, log):
+        return False
     left = max(0, config.steps - run.state.decisions)
     with handled_by(run.end):
         model.learn(left, callback=[OptionCallback(), run], reset_num_timesteps=False)
     return not run.stop
+
+
+def warm_started(model: OnPolicyAlgorithm, config: TrainConfig, log: RunLog) -> bool:
+    """Warm start; False after Ctrl-C or SIGTERM."""
+    try:
+        with handled_by(signal.default_int_handler):
+            warm_start(model, model.get_vec_normalize_env(), config, log)
+    except KeyboardInterrupt:
+        log.echo("nothing is saved yet: an interrupted warm start starts again")
+        return False
+    log.advance(0, "first update")
+    return True
 
 
 @contextmanager
@@ -240,8 +247,9 @@ class RunCallback(BaseCallback):
 
         self.validation = self.validation or make_validation(self.folder.config)
         self.validation.seed(0)
-        evaluate: Any = evaluate_maskable if isinstance(self.model, MaskablePPO) else evaluate_policy
-        evaluate(self.model, self.validation, buildings, callback=collect, warn=False)
+        model: Any = self.model  # of any algorithm
+        masked = isinstance(model, MaskablePPO)
+        evaluate_policy(model, self.validation, buildings, callback=collect, warn=False, use_masking=masked)
         return mean_of(found)
 
     def end(self, number: int, _: Any) -> None:
