@@ -44,7 +44,7 @@ def lines_of_results() -> Iterator[tuple[str, str]]:
 def lines_of_help() -> Iterator[tuple[str, str]]:
     """(where, line) of the examples that `--help` shows."""
     for words in COMMANDS:
-        yield from ((f"mecp-env {words} --help", example) for example in load(words).examples)
+        yield from ((f"mecp-env {words} --help", example) for example in load(words).help()[1])
 
 
 def lines_of_docstrings() -> Iterator[tuple[str, str]]:

@@ -6,10 +6,12 @@ How a command ends: its exit code, and one line on stderr instead of a traceback
 from __future__ import annotations
 
 import contextlib
+import inspect
 import io
 import os
 import sys
 import tempfile
+import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
@@ -84,10 +86,18 @@ class Line(tuple[str, ...]):
 
 
 class Command(ABC):
-    """A command: a dataclass of its options, whose docstring is its help. Types may have bounds, as `Seed` has."""
+    """A command: a dataclass of its options. Types may have bounds, as `Seed` has.
 
-    examples: ClassVar[tuple[str, ...]] = ()  # lines that a user may type, shown by --help
+    The docstring is its help: a paragraph, and below it examples of lines that a user may type.
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> those that have no meaning beside it
+
+    @classmethod
+    def help(cls) -> tuple[str, list[str]]:
+        """What the command does, and its examples."""
+        about, _, examples = inspect.cleandoc(cls.__doc__ or "").partition("\n\nExamples:\n")
+        return about, textwrap.dedent(examples).splitlines()
 
     @classmethod
     def completed(cls, line: Line) -> Line:
@@ -115,7 +125,7 @@ class Command(ABC):
     @property
     def keeps_results(self) -> bool:
         """True when files are the result: the run goes on when the reader of its output is gone (`demo | head`)."""
-        return False
+        return True
 
     @abstractmethod
     def run(self, line: Line) -> int:
@@ -246,11 +256,6 @@ def at_end(code: int) -> int:
     return code or (INTERRUPTED if was_interrupted() else 0)
 
 
-def exit_code(code: int, saved: bool) -> int:
-    """The exit code of a run that ended with `code`; 1 where the run is well but its map was not `saved`."""
-    return code or (0 if saved else FAILED)
-
-
 def echo(*lines: object) -> None:
     """Print lines that may contain names from untrusted files, without control characters."""
     for line in lines:
@@ -267,10 +272,11 @@ def print_os_error(error: OSError) -> None:
     print_error(f"{error.filename or 'output'}: {error.strerror}")
 
 
-def tracked(items: Iterable[T], total: int, what: str) -> Iterable[T]:
-    """The items one by one, with a bar on stderr where that is a terminal."""
-    from rich.console import Console  # the overview of all commands does without
-    from rich.progress import track
+def tracked(items: Iterable[T], total: int, what: str) -> Iterator[T]:
+    """The items one by one, with a bar on stderr; without a terminal, a line at every tenth of the way."""
+    from mecp_env.render.progress import Bar  # the overview of all commands does without
 
-    console = Console(stderr=True)
-    return track(items, what, total, console=console, transient=True, disable=not console.is_terminal)
+    with Bar(total, stays=False, stderr=True) as bar:
+        for done, item in enumerate(items, start=1):
+            yield item
+            bar.show(done, what, f"mecp-env: {done} of {total} {what}")

@@ -5,24 +5,18 @@ from __future__ import annotations
 import webbrowser
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo, exit_code
+from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo
 from mecp_env.cli.options import (
     Fields,
-    Reading,
-    ReadingOptions,
+    KeepsMap,
+    ReadsPlans,
     WithModules,
-    check_map,
     configuration,
-    end_rerun,
-    one,
-    rerun_log,
-    resolve,
-    save_map,
     spare_sources,
     stem,
 )
@@ -39,83 +33,71 @@ REMEDY = "name the folder of a run of `mecp-env demo` or `mecp-env slam`, or a p
 
 
 @dataclass(frozen=True)
-class Demo(WithModules):
-    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths."""
+class Demo(KeepsMap, ReadsPlans):
+    """Explore a building by the robot's own map, breadth first; keep pictures, figures and paths.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env demo --layout two_rooms",
-        "mecp-env demo --layout office --seed 3 --render human",
-        "mecp-env demo --layout hard:7",
-        "mecp-env demo --layout scan.png --resolution-m 0.05 --free-above 230",
-        "mecp-env demo --config.slam.filter.kind ekf --out runs/ekf",
-        "mecp-env demo --config.laser.preset urg04lx --config.odometry.preset turtlebot",
-    )
+    Examples:
+        mecp-env demo --layout two_rooms
+        mecp-env demo --layout office --seed 3 --render human
+        mecp-env demo --layout hard:7
+        mecp-env demo --layout scan.png --resolution-m 0.05 --free-above 230
+        mecp-env demo --config.slam.filter.kind ekf --out runs/ekf
+        mecp-env demo --config.laser.preset urg04lx --config.odometry.preset turtlebot
+    """
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
     seed: Seed = 0  # the same seed gives the same run
     render: Literal["none", "human"] = "none"  # human: watch it in a window
     out: Path | None = None  # folder for what is kept; default: runs/LAYOUT-SEED
     replay: bool = True  # keep the page that plays the run in a browser
-    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
-    save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
-    reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Explore with a progress bar; after Ctrl-C, what there is is kept all the same."""
-        from mecp_env.cli.runs import (
-            FILES,
-            Run,
-            print_figures,
-        )  # loaded only here, so that help and errors come at once
+        from mecp_env.cli.runs import FILES, Run, print_figures  # here, so that help and errors come at once
         from mecp_env.core.warm_up import prepare
         from mecp_env.env import MecpEnv
         from mecp_env.render.replay import Recorder
         from mecp_env.render.window import require_display
 
-        building = one(self.layout, self.reading)
+        building = self.reading.one(self.layout)
         folder = check_folder(self.out or Path("runs") / f"{stem(building)}-{self.seed}")
         spare_sources([folder / name for name in FILES], [self.layout])
-        config = configuration(resolve(self.layout, self.reading), self.config, line)
-        check_map(self.save_map, building, config.estimator)
+        config = configuration(self.reading.resolve(self.layout), self.config, line)
+        self.check_map(building, config.estimator)
         if self.render == "human":
             require_display()
         prepare()
-        recording = rerun_log(self.rerun, config.robot.period_s)
+        recording = self.recording(config.robot.period_s)
         env = MecpEnv(config, None if self.render == "none" else "human")
         run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None, recording)
         watch = run.watched()
-        end_rerun(recording, self.rerun)
+        self.end_recording(recording)
         if not run.estimated:
             return INTERRUPTED
-        saved = list[bool]()
-        run.save_map = lambda: saved.append(save_map(env, self.save_map))
-        metrics = run.keep(folder, watch)
+        metrics = run.keep_data(folder, watch)
+        code = self.keep_map(env)
+        run.keep_pictures(folder)
         ended = "over, no goal left" if run.ended == "complete" else run.ended  # by the belief, not the truth
         print_figures(f"exploration {ended}", metrics, folder)
         env.close()
-        return exit_code({"interrupted": INTERRUPTED}.get(run.ended, 0), all(saved))
+        return {"interrupted": INTERRUPTED}.get(run.ended, code)
 
 
 @dataclass(frozen=True)
-class OneScan(WithModules):
-    """Follow one scan through the stages: one picture each, as in docs/one-scan.md."""
+class OneScan(WithModules, ReadsPlans):
+    """Follow one scan through the stages: one picture each, as in docs/one-scan.md.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env one-scan",
-        "mecp-env one-scan --layout hard:7",
-        "mecp-env one-scan --layout office --step 10 --out runs/office-scan",
-    )
+    Examples:
+        mecp-env one-scan
+        mecp-env one-scan --layout hard:7
+        mecp-env one-scan --layout office --step 10 --out runs/office-scan
+    """
 
     layout: str = "paper"  # a shipped name (paper, two_rooms, ...), DIFFICULTY:SEED, or the path of a plan
     seed: Seed = 0  # the same seed gives the same run
     step: Annotated[int, Field(ge=0)] = 40  # the first scan from here on in which a polygon of the map is recognised
     out: OutFolder = Path("runs/one-scan")  # folder for the pictures
-    reading: ReadingOptions = field(default_factory=Reading)
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Write the pictures of one scan's stages, and say where they are."""
@@ -125,7 +107,7 @@ class OneScan(WithModules):
         from mecp_env.render.stages import DPI, stage_figures
         from mecp_env.slam.frontend.clustering import cluster_beams
 
-        run = Run(MecpEnv(layout=resolve(self.layout, self.reading)), self.seed)
+        run = Run(MecpEnv(layout=self.reading.resolve(self.layout)), self.seed)
         output, slam = recognition(run, self.step), run.env.config.estimator_config
         united = slam.clustering.united(run.env.config.laser.sweeps)
         clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor, united)
@@ -162,19 +144,17 @@ def recognition(run: Run, step: int) -> SlamOutput:
 class Replay(Command):
     """Make the page that plays a run: world and belief side by side, with a time slider, why each corner was matched or
     not, and curves. RUN is the folder of a run, or its page, which gets the player of this version. A folder of `demo`
-    without a page is explored again, with the same bits."""
+    without a page is explored again, with the same bits.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env replay runs/paper-0",
-        "mecp-env replay runs/paper-0 --browser",
-        "mecp-env replay runs/training/replays/episode-0003.html --out best.html",
-    )
+    Examples:
+        mecp-env replay runs/paper-0
+        mecp-env replay runs/paper-0 --browser
+        mecp-env replay runs/training/replays/episode-0003.html --out best.html
+    """
 
     run_folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(name="RUN", metavar="RUN")]
     out: Path | None = None  # file of the page; default: replay.html in the folder of the run, or the page itself
     browser: bool = False  # show it in the browser
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""

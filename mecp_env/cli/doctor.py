@@ -15,7 +15,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import Annotated, Any, ClassVar, Literal, Union
+from typing import Annotated, Any, Literal, Union
 
 import gymnasium
 import numpy as np
@@ -56,11 +56,16 @@ class Finding:
 @dataclass(frozen=True)
 class Doctor(Command):
     """Check Python, dependencies, processor, function cache and display, then drive for two seconds. Each line starts
-    with PASS, WARN or FAIL, and the line below it names a fix. Exit code 1 if a check failed, else 0."""
+    with PASS, WARN or FAIL, and the line below it names a fix. Exit code 1 if a check failed, else 0.
 
-    examples: ClassVar[tuple[str, ...]] = ("mecp-env doctor", "mecp-env doctor --seconds 10")
+    Examples:
+        mecp-env doctor
+        mecp-env doctor --seconds 10
+    """
 
     seconds: Annotated[float, Field(ge=0.1, le=600.0)] = 2.0  # how long the self-test drives
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Print the finding of each check as soon as it is known."""
@@ -227,14 +232,17 @@ CHECKS = (machine, dependencies, compiled_functions, display, self_test)
 
 @dataclass(frozen=True)
 class Completion(Command):
-    """Print a script that completes commands and options of mecp-env in bash, zsh or fish."""
+    """Print a script that completes commands and options of mecp-env in bash, zsh or fish.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env completion bash > ~/.local/share/bash-completion/completions/mecp-env",
-        "mecp-env completion zsh > ~/.zfunc/_mecp-env",
-        "mecp-env completion fish > ~/.config/fish/completions/mecp-env.fish",
-    )
+    Examples:
+        mecp-env completion bash > ~/.local/share/bash-completion/completions/mecp-env
+        mecp-env completion zsh > ~/.zfunc/_mecp-env
+        mecp-env completion fish > ~/.config/fish/completions/mecp-env.fish
+    """
+
     shell: tyro.conf.Positional[Shell]
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Let the parser of all commands write the script; it is not run."""

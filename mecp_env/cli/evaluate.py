@@ -5,12 +5,11 @@ from __future__ import annotations
 import json
 import re
 import shlex
-import sys
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar
+from typing import Annotated, Any, ClassVar
 
 import tyro
 from pydantic import Field
@@ -33,7 +32,7 @@ from mecp_env.cli.options import (
     EnvironmentFields,
     Estimator,
     Reading,
-    ReadingOptions,
+    ReadsPlans,
     SplitName,
     TaskName,
     WithModules,
@@ -42,16 +41,27 @@ from mecp_env.cli.options import (
 from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import exists, is_folder, write_atomic
+from mecp_env.core.intervals import Figures
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
+from mecp_env.policies.evaluation import Evaluation, Row, write_result
+from mecp_env.policies.registry import EXPLORERS, LEARNED, OURS, make_policy, policy_names, training_hours
+from mecp_env.policies.report import draw_curves, overview, page, write_film
+from mecp_env.policies.setting import Setting, plan_fields
+from mecp_env.policies.suites import (
+    METRICS,
+    SUITES,
+    Training,
+    check_name,
+    find_suite,
+    leaderboard,
+    read_submission,
+    reference_rows,
+    refuse_changes,
+    submission,
+)
 from mecp_env.world.config import CrowdConfig
 from mecp_env.world.layout import shipped_layouts
-
-if TYPE_CHECKING:
-    from mecp_env.core.intervals import Figures
-    from mecp_env.policies.evaluation import Evaluation, Row
-    from mecp_env.policies.rollout import EpisodeResult
-    from mecp_env.policies.setting import Setting
 
 QUICK = "active-quick-v1"
 MOST_MASKED = 0.1  # of the decisions of a policy, before it is told
@@ -60,24 +70,25 @@ READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.n
 
 
 @dataclass(frozen=True)
-class Evaluate(WithModules):
+class Evaluate(WithModules, ReadsPlans):
     """Compare policies in the same buildings, with the same start poses and noise: tables with 95 % intervals, curves
     and, with --record, a film. A policy is bfs, nearest, next_best_view, gain, pause, returning, stachniss,
     random_goal, random_walk, maskable_ppo, the folder of a training run, or a custom class as module:Class. Finished
     episodes are kept in OUT/episodes: the same command continues after a kill. Jobs with --shard 1/4 to 4/4 divide the
-    buildings; then the command without --shard combines their episodes."""
+    buildings; then the command without --shard combines their episodes.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2",
-        "mecp-env evaluate nearest runs/my-training --split validation --no-truth",
-        "mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard",
-        "mecp-env evaluate nearest returning --task ActiveHalls-v0 --known --episodes 20",
-        "mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8",
-        "mecp-env evaluate nearest gain --plans my-plans --episodes 30 --env.laser.max-range-m 8",
-        "mecp-env evaluate gain stachniss --plans my-plans --task ActiveHalls-v0 --env.odometry.scale 2",
-        "mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20",
-        "mecp-env evaluate bfs nearest --out runs/big --shard 1/4",
-    )
+    Examples:
+        mecp-env evaluate bfs nearest gain --episodes 20 --jobs 2
+        mecp-env evaluate nearest runs/my-training --split validation --no-truth
+        mecp-env evaluate nearest my_module:MyPolicy --difficulty hard --record --out runs/hard
+        mecp-env evaluate nearest returning --task ActiveHalls-v0 --known --episodes 20
+        mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8
+        mecp-env evaluate nearest gain --plans my-plans --episodes 30 --env.laser.max-range-m 8
+        mecp-env evaluate gain stachniss --plans my-plans --task ActiveHalls-v0 --env.odometry.scale 2
+        mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20
+        mecp-env evaluate bfs nearest --out runs/big --shard 1/4
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {
         "suite": (
             *("task", "plans", "layout", "env", "crowd", "difficulty", "split", "episodes"),
@@ -112,11 +123,8 @@ class Evaluate(WithModules):
     max_steps: Steps | None = None  # of an episode (control steps of 0.4 s); by default 3000, in a task 1500
     json: Path | None = None  # also write the result there, and the page beside it
     out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
-    reading: ReadingOptions = field(default_factory=Reading)  # of --plans and --layout
     crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
-
-    keeps_results = True
 
     def check(self, line: Line) -> None:
         """Raise `ConfigError` for a way of reading plans without any, too."""
@@ -139,8 +147,6 @@ class Evaluate(WithModules):
 
     def _setting(self, line: Line) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
-        from mecp_env.policies.setting import Setting, plan_fields
-
         limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
         setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=self._changes(line))
         if self.plans is None and not self.layout:
@@ -174,8 +180,6 @@ class Evaluate(WithModules):
 
     def _run_suite(self, line: Line) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
-        from mecp_env.policies.suites import check_name, submission
-
         for name in self.policies:
             check_name(name, "policies")
         done = self.suite_rows()
@@ -190,8 +194,6 @@ class Evaluate(WithModules):
 
     def suite_rows(self) -> list[tuple[Setting, list[Row]]] | int:
         """The rows of every setting of the suite; an exit code where an episode failed, or after Ctrl-C."""
-        from mecp_env.policies.suites import find_suite
-
         suite, done = find_suite(self.suite), []
         for setting in suite.settings:
             evaluation, _ = self._evaluated(setting, suite.episodes, setting.task or setting.difficulty)
@@ -206,8 +208,6 @@ class Evaluate(WithModules):
 
     def _evaluated(self, setting: Setting, episodes: int, name: str) -> tuple[Evaluation, Path]:
         """All episodes in a setting, or those of a shard, and the folder below `out` where they are kept."""
-        from mecp_env.policies.evaluation import Evaluation
-
         parts = (self.policies, setting, episodes, self.truth, self.known, self.reference, self.trust)
         evaluation = Evaluation(*parts, Shard.parse(self.shard))
         self._check(evaluation)
@@ -217,9 +217,6 @@ class Evaluate(WithModules):
 
     def _check(self, evaluation: Evaluation) -> None:
         """Raise `MecpError` for wrong policies or a wrong setting, before anything is written."""
-        from mecp_env.policies.registry import EXPLORERS, make_policy, policy_names
-        from mecp_env.policies.suites import refuse_changes
-
         if not self.policies:
             raise ConfigError(f"policies: expected at least one of {', '.join(policy_names())}, or a run folder")
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
@@ -239,9 +236,6 @@ class Evaluate(WithModules):
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
-        from mecp_env.policies.evaluation import write_result
-        from mecp_env.policies.report import overview, page
-
         rows = evaluation.rows()
         report_masked(evaluation)
         if not rows:
@@ -258,8 +252,6 @@ class Evaluate(WithModules):
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film."""
-        from mecp_env.policies.report import draw_curves, write_film
-
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:
             where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
@@ -271,8 +263,6 @@ class Evaluate(WithModules):
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
-    from mecp_env.policies.suites import leaderboard, reference_rows
-
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
     table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
     echo(*table.split("\n"), f"written to {path}")
@@ -280,22 +270,14 @@ def write_submission(result: dict[str, Any], path: Path) -> None:
 
 def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) -> None:
     """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
-    total = len(evaluation.tasks())
     with closing(evaluation.run(kept, jobs, cluster)) as results:
         try:
-            for done, result in enumerate(tracked(results, total, "episodes"), start=1):
-                report(result, done, total)
+            finished = tracked(results, len(evaluation.tasks()), "episodes")
+            for failure in (result for result in finished if isinstance(result, FailedUnit)):
+                print_error(f"failed: {failure}")
         except KeyboardInterrupt:
             evaluation.interrupted = True
             print_error("interrupted; the same command continues")
-
-
-def report(result: EpisodeResult | FailedUnit, done: int, total: int) -> None:
-    """Print a failure; without a terminal, also a line at every tenth of the way."""
-    if isinstance(result, FailedUnit):
-        print_error(f"failed: {result}")
-    if not sys.stderr.isatty() and 10 * done // total > 10 * (done - 1) // total:
-        print_error(f"{done} of {total} episodes")
 
 
 def report_masked(evaluation: Evaluation) -> None:
@@ -313,23 +295,23 @@ def report_masked(evaluation: Evaluation) -> None:
 @dataclass(frozen=True)
 class Leaderboard(Command):
     """One table of results of `mecp-env submit` or `mecp-env evaluate --suite` and the package's reference rows, the
-    best policy first. A file of another suite, of another version of it, or one that was changed, is refused."""
+    best policy first. A file of another suite, of another version of it, or one that was changed, is refused.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env leaderboard",
-        "mecp-env leaderboard runs/mine-active-quick-v1.json",
-        "mecp-env leaderboard runs/mine/active-v1.json results/others.json --metric lost",
-    )
+    Examples:
+        mecp-env leaderboard
+        mecp-env leaderboard runs/mine-active-quick-v1.json
+        mecp-env leaderboard runs/mine/active-v1.json results/others.json --metric lost
+    """
 
     files: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="FILE ...")] = ()
     metric: str = "correct_over_steps"  # or correct_over_metres, correct_coverage, auc, coverage, lost, complete
     suite: str = ""  # by default that of the files, without files active-quick-v1
     references: bool = True  # with the reference rows of the package
 
+    keeps_results = False
+
     def run(self, line: Line) -> int:
         """Print the table."""
-        from mecp_env.policies.suites import METRICS, SUITES, leaderboard, read_submission, reference_rows
-
         check_word("metric", self.metric, METRICS)
         found = {str(path): read_submission(path) for path in self.files}
         suite = self._suite([content["suite"] for content in found.values()])
@@ -341,8 +323,6 @@ class Leaderboard(Command):
 
     def _suite(self, named: Sequence[str]) -> str:
         """The suite of the files and of the option. Raises `ConfigError` for several, and for an unknown one."""
-        from mecp_env.policies.suites import SUITES
-
         suites = sorted({*named, *([self.suite] if self.suite else [])}) or [QUICK]
         if len(suites) > 1:
             raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
@@ -354,13 +334,14 @@ class Submit(WithModules):
     """Score one policy in a frozen benchmark, write its result file, and show it beside the reference rows. A policy is
     a shipped name, the folder of a training run, a custom class as module:Class, a model file of Stable-Baselines3
     (.zip), or TorchScript (.pt) or ONNX (.onnx) with a JSON file beside it (docs/submissions.md). Finished episodes are
-    kept beside the file: the same command continues after a kill."""
+    kept beside the file: the same command continues after a kill.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env submit my_module:MyPolicy --quick --jobs 2",
-        "mecp-env submit model.zip --trust --quick --name my-ppo --hours 2",
-        "mecp-env submit runs/my-training --suite active-v1 --jobs 8 --out results/mine.json",
-    )
+    Examples:
+        mecp-env submit my_module:MyPolicy --quick --jobs 2
+        mecp-env submit model.zip --trust --quick --name my-ppo --hours 2
+        mecp-env submit runs/my-training --suite active-v1 --jobs 8 --out results/mine.json
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"quick": ("suite",)}
 
     policy: Annotated[str, tyro.conf.Positional]
@@ -375,13 +356,8 @@ class Submit(WithModules):
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json
 
-    keeps_results = True
-
     def run(self, line: Line) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
-        from mecp_env.policies.registry import training_hours
-        from mecp_env.policies.suites import Training, submission
-
         suite, name = QUICK if self.quick else self.suite, self._name()
         path = check_json(self.out or Path("runs") / f"{re.sub('[/:]', '-', f'{name}-{suite}')}.json", "out")
         options = {"truth": False, "reference": self.policy, "trust": self.trust, "jobs": self.jobs}
@@ -395,9 +371,6 @@ class Submit(WithModules):
 
     def _name(self) -> str:
         """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""
-        from mecp_env.policies.registry import LEARNED, OURS
-        from mecp_env.policies.suites import check_name
-
         path = Path(self.policy)
         default = (path.stem if path.is_file() else path.name) if path.exists() else self.policy
         name = check_name(self.name or default)

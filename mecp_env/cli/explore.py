@@ -4,28 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Literal
 
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import INTERRUPTED, Line, Seed, Steps, check_folder, echo, exit_code, print_error
-from mecp_env.cli.options import (
-    DifficultyName,
-    Estimator,
-    Reading,
-    ReadingOptions,
-    SplitName,
-    TaskName,
-    WithModules,
-    check_map,
-    end_rerun,
-    rerun_log,
-    resolve,
-    save_map,
-)
+from mecp_env.cli.base import INTERRUPTED, Line, Seed, Steps, check_folder, echo, print_error
+from mecp_env.cli.options import DifficultyName, Estimator, KeepsMap, ReadsPlans, SplitName, TaskName, WithModules
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
@@ -36,19 +23,20 @@ EXPECTED = "expected DIFFICULTY:SPLIT:NUMBER, such as medium:test:3, or a task i
 
 
 @dataclass(frozen=True)
-class Explore(WithModules):
+class Explore(KeepsMap, ReadsPlans):
     """Explore one building with a policy, and print every drive and the metrics. A policy is bfs, nearest,
     next_best_view, gain, pause, returning, stachniss, random_goal, random_walk, maskable_ppo, the folder of a training
-    run, or a custom class as module:Class."""
+    run, or a custom class as module:Class.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env explore gain --layout office",
-        "mecp-env explore gain --difficulty hard --seed 3",
-        "mecp-env explore maskable_ppo --layout medium:test:3 --start random",
-        "mecp-env explore pause --layout ActiveHalls-v0:validation:0 --replay runs/halls",
-        "mecp-env explore nearest --layout office --save-map office.zip",
-        "mecp-env explore runs/my-training --layout hard:7 --estimator truth",
-    )
+    Examples:
+        mecp-env explore gain --layout office
+        mecp-env explore gain --difficulty hard --seed 3
+        mecp-env explore maskable_ppo --layout medium:test:3 --start random
+        mecp-env explore pause --layout ActiveHalls-v0:validation:0 --replay runs/halls
+        mecp-env explore nearest --layout office --save-map office.zip
+        mecp-env explore runs/my-training --layout hard:7 --estimator truth
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"layout": ("difficulty", "task"), "task": ("difficulty",)}
 
     policy: Annotated[str, tyro.conf.Positional]
@@ -64,9 +52,6 @@ class Explore(WithModules):
     # random: anywhere in free space; by default layout, in a task random
     start: Literal["layout", "random"] | None = None
     replay: Path | None = None  # folder for the page that plays the episode
-    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
-    save_map: Path | None = None  # file for the robot's map, which the estimator can localise in (a .zip)
-    reading: ReadingOptions = field(default_factory=Reading)
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
 
     def check(self, line: Line) -> None:
@@ -89,12 +74,12 @@ class Explore(WithModules):
         from mecp_env.wrappers import EveryStep, RecordReplay
 
         building, options = self._building()
-        check_map(self.save_map, self.layout, self.estimator)
+        self.check_map(self.layout, self.estimator)
         policy = make_policy(self.policy, self.trust)
         given = {"max_steps": self.steps, "start": self.start}
         fields = options_of(policy) | {name: value for name, value in given.items() if value is not None}
         env = gym.make(**building, estimator=self.estimator, **fields)
-        recording = rerun_log(self.rerun, env.get_wrapper_attr("config").robot.period_s)
+        recording = self.recording(env.get_wrapper_attr("config").robot.period_s)
         env = env if recording is None else EveryStep(env, recording.look)
         env = env if self.replay is None else RecordReplay(env, check_folder(self.replay, "--replay"))
         observation, info = env.reset(seed=self.seed, options=options)
@@ -112,10 +97,10 @@ class Explore(WithModules):
                 echo(drive_line(goals, int(action), info))
         echo("", end_line(terminated, info), "")
         echo(*(f"{name:26s}{value:10.4g}" for name, value in env.get_wrapper_attr("summary")().items()))
-        saved = save_map(env.unwrapped, self.save_map)
+        code = self.keep_map(env.unwrapped)
         env.close()
-        end_rerun(recording, self.rerun)
-        return exit_code(0, saved)
+        self.end_recording(recording)
+        return code
 
     def _building(self) -> tuple[dict[str, Any], dict[str, int] | None]:
         """The id of the environment with the building that it makes, and the options of its reset.
@@ -125,7 +110,7 @@ class Explore(WithModules):
         buildings = self.task or self.difficulty
         place = f"{buildings}:{self.split}:{self.seed}" if buildings else self.layout
         if place.count(":") != 2:
-            return {"id": "mecp_env/Layout-v0", "layout": resolve(place, self.reading)}, None
+            return {"id": "mecp_env/Layout-v0", "layout": self.reading.resolve(place)}, None
         return self._generated(*place.split(":"))
 
     def _generated(self, difficulty: str, split: str, number: str) -> tuple[dict[str, Any], dict[str, int] | None]:
@@ -159,14 +144,15 @@ def end_line(terminated: bool, info: Mapping[str, Any]) -> str:
 @dataclass(frozen=True)
 class RecordDataset(WithModules):
     """Record episodes of a policy as a Minari dataset, one building per episode. A policy is random_goal,
-    random_walk, bfs, nearest, gain, maskable_ppo, the folder of a training run, or a custom class as module:Class."""
+    random_walk, bfs, nearest, gain, maskable_ppo, the folder of a training run, or a custom class as module:Class.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env record-dataset bfs --episodes 100",
-        "mecp-env record-dataset gain --actions velocity --difficulty easy",
-        "mecp-env record-dataset maskable_ppo --observation dict --out runs/datasets",
-        "mecp-env record-dataset nearest --task ActiveHalls-v0 --name my/halls-v0",
-    )
+    Examples:
+        mecp-env record-dataset bfs --episodes 100
+        mecp-env record-dataset gain --actions velocity --difficulty easy
+        mecp-env record-dataset maskable_ppo --observation dict --out runs/datasets
+        mecp-env record-dataset nearest --task ActiveHalls-v0 --name my/halls-v0
+    """
+
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"task": ("difficulty",)}
 
     policy: Annotated[str, tyro.conf.Positional]
@@ -182,8 +168,6 @@ class RecordDataset(WithModules):
     name: str = ""  # id of the dataset, as my/rooms-v0; by default from the options
     out: Path | None = None  # folder of the datasets; by default that of minari
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Record the episodes; after Ctrl-C the dataset has those that were finished."""

@@ -126,14 +126,14 @@ def parse(words: str, line: Line) -> Command:
     kind = load(words)
     import_modules(line.first_words("--with"))  # they register names that options may have
     line = kind.completed(line.gathered())
-    about = textwrap.indent(textwrap.fill(" ".join((kind.__doc__ or "").split()), 76), "  ")  # tyro keeps such lines
-    examples = "\n".join(f"  {example}" for example in kind.examples)
+    about, examples = kind.help()
+    wrapped, shown = ("\n".join(f"  {line}" for line in lines) for lines in (textwrap.wrap(about, 76), examples))
     default: Any = kind.defaults(line)  # None: tyro takes those of the class
     try:
         chosen: Command = tyro.cli(
             kind,
             prog=f"mecp-env {words}",
-            description=f"{about}\n\nExamples:\n{examples}",
+            description=f"{wrapped}\n\nExamples:\n{shown}",  # tyro keeps indented lines
             args=list(line),
             default=default,
             config=(tyro.conf.AvoidSubcommands,),

@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import re
 import warnings
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, is_dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, is_dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_origin, get_type_hints
@@ -16,7 +17,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, Self, get_args, get_o
 import tyro
 from pydantic import BaseModel, model_validator
 
-from mecp_env.cli.base import Command, Line, check_writable, echo, one_of, print_error
+from mecp_env.cli.base import FAILED, Command, Line, check_writable, echo, one_of, print_error
 from mecp_env.config import EnvConfig, Number, RewardConfig, merge
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import exists, is_folder
@@ -127,42 +128,6 @@ def _name(fields: Mapping[str, Any], path: str) -> str:
     return first if first in fields else first.removeprefix("no_")
 
 
-def check_map(path: Path | None, layout: str, estimator: str) -> None:
-    """Raise `ConfigError` where the map of a run cannot be written or would be of no use; None: no map is wanted.
-
-    A map of this version is replaced, any other file is not.
-    """
-    if path is None:
-        return
-    spare_sources([check_writable(path, "--save-map")], [layout])
-    if estimator == "known":
-        raise ConfigError(f"--save-map: {path}: a map of the estimator 'known' localises with ground truth only")
-    from mecp_env.slam.map_file import MapError, SlamMap  # compiled functions are loaded only where a map is read
-
-    try:
-        if exists(path):
-            SlamMap.load(path)
-    except MapError as error:
-        raise ConfigError(f"--save-map: {error}; name another file") from None
-
-
-def save_map(owner: Any, path: Path | None) -> bool:
-    """Write the map of a `MecpEnv` or `SlamPipeline`, if it is wanted, and print where it is.
-
-    False where it cannot be written: the reason is printed, and the run keeps everything else.
-    """
-    if path is None:
-        return True
-    try:
-        owner.save_map(path)
-    except (MecpError, OSError) as error:
-        reason = error.strerror if isinstance(error, OSError) else error
-        print_error(f"--save-map: {path} was not written: {reason}")
-        return False
-    echo(f"map: {path}")
-    return True
-
-
 @dataclass(frozen=True, kw_only=True)
 class WithModules(Command):
     """A command that knows what modules of the user register: associators, filters, rewards, policies, ..."""
@@ -176,26 +141,67 @@ class WithModules(Command):
         return with_reward_preset(line)
 
 
-def rerun_log(path: Path | None, period_s: float = 0.4) -> RerunLog | None:
-    """The recording at `path`; None where none is wanted. Raises `ConfigError` where it cannot be written."""
-    if path is None:
-        return None
-    from mecp_env.render.rerun_log import RerunLog, rerun_library
+@dataclass(frozen=True, kw_only=True)
+class KeepsMap(WithModules):
+    """A command whose run may be recorded, and whose map may be kept."""
 
-    if path.suffix != ".rrd":
-        raise ConfigError(f"--rerun: {path}: expected a file name that ends in .rrd")
-    try:
-        rerun_library()
-        return RerunLog(check_writable(path, "--rerun"), period_s)
-    except (ConfigError, OSError) as error:
-        raise ConfigError(f"{'' if '--rerun' in str(error) else '--rerun: '}{error}") from None
+    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
+    save_map: Path | None = None  # file for the map, which the estimator can localise in (a .zip)
 
+    def check_map(self, layout: str, estimator: str) -> None:
+        """Raise `ConfigError` where the map of a run cannot be written or would be of no use.
 
-def end_rerun(log: RerunLog | None, path: Path | None) -> None:
-    """End the file, and print where it is."""
-    if log is not None:
-        log.close()
-        echo(f"recording: {path} (rerun {path})")
+        A map of this version is replaced, any other file is not.
+        """
+        if self.save_map is None:
+            return
+        spare_sources([check_writable(self.save_map, "--save-map")], [layout])
+        if estimator == "known":
+            raise ConfigError(
+                f"--save-map: {self.save_map}: a map of the estimator 'known' localises with ground truth only"
+            )
+        from mecp_env.slam.map_file import MapError, SlamMap  # compiled functions are loaded only where a map is read
+
+        try:
+            if exists(self.save_map):
+                SlamMap.load(self.save_map)
+        except MapError as error:
+            raise ConfigError(f"--save-map: {error}; name another file") from None
+
+    def keep_map(self, owner: Any) -> int:
+        """Write the map of a `MecpEnv` or `SlamPipeline`, if it is wanted; 1 where it cannot be written, else 0.
+
+        The reason is printed then, and the run keeps everything else.
+        """
+        if self.save_map is None:
+            return 0
+        try:
+            owner.save_map(self.save_map)
+        except (MecpError, OSError) as error:
+            reason = error.strerror if isinstance(error, OSError) else error
+            print_error(f"--save-map: {self.save_map} was not written: {reason}")
+            return FAILED
+        echo(f"map: {self.save_map}")
+        return 0
+
+    def recording(self, period_s: float = 0.4) -> RerunLog | None:
+        """The recording for the rerun viewer, if it is wanted. Raises `ConfigError` where it cannot be written."""
+        if self.rerun is None:
+            return None
+        from mecp_env.render.rerun_log import RerunLog
+
+        if self.rerun.suffix != ".rrd":
+            raise ConfigError(f"--rerun: {self.rerun}: expected a file name that ends in .rrd")
+        try:
+            return RerunLog(check_writable(self.rerun, "--rerun"), period_s)
+        except (ConfigError, OSError) as error:
+            raise ConfigError(f"{'' if '--rerun' in str(error) else '--rerun: '}{error}") from None
+
+    def end_recording(self, log: RerunLog | None) -> None:
+        """End the file, and print where it is."""
+        if log is not None:
+            log.close()
+            echo(f"recording: {self.rerun} (rerun {self.rerun})")
 
 
 @dataclass(frozen=True)
@@ -215,30 +221,58 @@ class Reading:
         given = {name: value for name, value in asdict(self).items() if value is not None}
         return given if not self.straighten else {name: given[name] for name in given if name != "straighten"}
 
+    def expand(self, word: str) -> list[str]:
+        """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.
 
-AS_FOUND = Reading()
-ReadingOptions = Annotated[Reading, tyro.conf.OmitArgPrefixes]
-
-
-def expand(word: str, reading: Reading = AS_FOUND) -> list[str]:
-    """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.
-
-    Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder, and
-    `LayoutError` for a folder with a link out of it.
-    """
-    if word in DIFFICULTIES:
-        raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
-    series = SERIES.fullmatch(word)
-    if series:
-        return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
-    if word and is_folder(word):
+        Raises `ConfigError` for a preset without a seed, a range that runs backwards or is too long, an empty folder,
+        and `LayoutError` for a folder with a link out of it.
+        """
+        if word in DIFFICULTIES:
+            raise ConfigError(f"{word}: which buildings? Give seeds, as {word}:0 or {word}:0-9")
+        series = SERIES.fullmatch(word)
+        if series:
+            return _series(word, series[1], int(series[2]), int(series[3] or series[2]))
+        if not word or not is_folder(word):
+            return [word]
         from mecp_env.floorplans import plan_files
 
-        with warnings.catch_warnings(record=True, action="always") as found:
-            paths = plan_files(Path(word), reading.kind, images=reading.resolution_m is not None)
-        print_notes(found)
-        return [str(path) for path in paths]
-    return [word]
+        with printed_notes():
+            return [str(path) for path in plan_files(Path(word), self.kind, images=self.resolution_m is not None)]
+
+    def one(self, word: str, option: str = "layout") -> str:
+        """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
+        first, *others = self.expand(word)
+        if others:
+            raise ConfigError(f"{option}: {word} is {1 + len(others)} buildings; name one building, as {first}")
+        return first
+
+    def resolve(self, word: str) -> str | Layout:
+        """What the environment is given as layout: a shipped name as it is, so that a recipe stays short.
+
+        Raises `LayoutError` or `ConfigError` for a word that is no building, or several.
+        """
+        from mecp_env.world.layout import shipped_layouts  # loaded only here, so that help and errors come at once
+
+        word = self.one(word)
+        return word if word in shipped_layouts() else self.load(word)
+
+    def load(self, word: str) -> Layout:
+        """The checked layout of a single building. Raises `LayoutError`, and `ConfigError` for wrong options."""
+        from mecp_env.world.layout import load_layout, shipped_layouts
+
+        series = SERIES.fullmatch(word)
+        if series:
+            from mecp_env.world.generator import generate
+
+            return generate(GeneratorSpec.preset(series[1]), int(series[2]))
+        if word in shipped_layouts():
+            return load_layout(word)
+        if not word or not exists(word):
+            raise _no_such(word)
+        from mecp_env.floorplans import load_plan
+
+        with printed_notes():
+            return load_plan(word, **self.options())
 
 
 def _series(word: str, preset: str, first: int, last: int) -> list[str]:
@@ -249,30 +283,20 @@ def _series(word: str, preset: str, first: int, last: int) -> list[str]:
     return [f"{preset}:{seed}" for seed in range(first, last + 1)]
 
 
-def expand_all(words: Sequence[str], reading: Reading = AS_FOUND) -> list[str]:
-    """The single buildings of all words. Raises `ConfigError` for none."""
-    if not words:
-        raise ConfigError(NONE_GIVEN)
-    return [single for word in words for single in expand(word, reading)]
+@contextmanager
+def printed_notes() -> Iterator[None]:
+    """Within it what is warned of is kept; it is printed at the end, a line each."""
+    with warnings.catch_warnings(record=True, action="always") as found:
+        yield
+    for warning in found:
+        print_error(f"note: {warning.message}")
 
 
-def one(word: str, reading: Reading = AS_FOUND, option: str = "layout") -> str:
-    """The only building that a word stands for. Raises as `expand`, and `ConfigError` for a word of several."""
-    first, *others = expand(word, reading)
-    if others:
-        raise ConfigError(f"{option}: {word} is {1 + len(others)} buildings; name one building, as {first}")
-    return first
+@dataclass(frozen=True, kw_only=True)
+class ReadsPlans(Command):
+    """A command that reads buildings, which may be plans."""
 
-
-def resolve(word: str, reading: Reading = AS_FOUND) -> str | Layout:
-    """What the environment is given as layout: a shipped name as it is, so that a recipe stays short.
-
-    Raises `LayoutError` or `ConfigError` for a word that is no building, or several.
-    """
-    from mecp_env.world.layout import shipped_layouts  # loaded only here, so that help and errors come at once
-
-    word = one(word, reading)
-    return word if word in shipped_layouts() else load(word, reading)
+    reading: Annotated[Reading, tyro.conf.OmitArgPrefixes] = field(default_factory=Reading)
 
 
 def spare_sources(written: Iterable[Path], words: Iterable[str]) -> None:
@@ -300,33 +324,6 @@ def counted(layout: Layout) -> str:
     """How many rooms, doors and obstacles there are, in words."""
     parts = ((len(layout.rooms), "room"), (len(layout.doors), "door"), (len(layout.obstacles), "obstacle"))
     return ", ".join(f"{n} {word}{'' if n == 1 else 's'}" for n, word in parts)
-
-
-def load(word: str, reading: Reading = AS_FOUND) -> Layout:
-    """The checked layout of a single building. Raises `LayoutError`, or `ConfigError` for a wrong way of reading."""
-    from mecp_env.world.layout import load_layout, shipped_layouts
-
-    series = SERIES.fullmatch(word)
-    if series:
-        from mecp_env.world.generator import generate
-
-        return generate(GeneratorSpec.preset(series[1]), int(series[2]))
-    if word in shipped_layouts():
-        return load_layout(word)
-    if not word or not exists(word):
-        raise _no_such(word)
-    from mecp_env.floorplans import load_plan
-
-    with warnings.catch_warnings(record=True, action="always") as found:
-        layout = load_plan(word, **reading.options())
-    print_notes(found)
-    return layout
-
-
-def print_notes(found: Iterable[warnings.WarningMessage]) -> None:
-    """Print what was warned of, a line each."""
-    for warning in found:
-        print_error(f"note: {warning.message}")
 
 
 def _no_such(word: str) -> MecpError:

@@ -5,8 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 import pygame
@@ -15,7 +16,7 @@ from PIL import Image as Pictures
 from pydantic import Field
 
 from mecp_env.cli.base import Line, OutFolder, Seed, echo
-from mecp_env.cli.options import SERIES, Fields, Reading, ReadingOptions, WithModules, configuration, expand, resolve
+from mecp_env.cli.options import SERIES, Fields, ReadsPlans, WithModules, configuration
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import MecpError
 from mecp_env.env import MecpEnv
@@ -47,17 +48,17 @@ HELP = "Time stands still while no key is held. Find every room and door; green 
 
 
 @dataclass(frozen=True)
-class Play(WithModules):
+class Play(WithModules, ReadsPlans):
     """Drive through a building by keyboard: left the world, right what the robot believes of it. The keys are listed in
     the window: arrows or W A S D drive, Shift slowly, Space waits, H hides the world, P keeps a picture, R begins
-    again, N takes the next building of a series or folder, or else the next seed, Esc quits."""
+    again, N takes the next building of a series or folder, or else the next seed, Esc quits.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env play",
-        "mecp-env play --layout medium:0",
-        "mecp-env play --layout runs/worlds --rate 10",
-        "mecp-env play --layout office --config.slam.filter.kind ekf --config.start random",
-    )
+    Examples:
+        mecp-env play
+        mecp-env play --layout medium:0
+        mecp-env play --layout runs/worlds --rate 10
+        mecp-env play --layout office --config.slam.filter.kind ekf --config.start random
+    """
 
     layout: str = "two_rooms"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, a plan, or a folder of plans
     seed: Seed = 0  # of the noise
@@ -66,22 +67,22 @@ class Play(WithModules):
     )
     out: OutFolder = Path("runs/play")  # folder for pictures (P)
     replay: bool = False  # keep a page that plays each drive, in the folder for pictures
-    reading: ReadingOptions = field(default_factory=Reading)
     config: Fields = field(default_factory=Fields)  # any field of the configuration
 
     def run(self, line: Line) -> int:
         """Drive until the window is closed."""
-        words = expand(self.layout, self.reading)
-        first = MecpEnv(
-            configuration(resolve(words[0], self.reading), self.config, line)
-        )  # before the window: it may be refused
-        require_display()
+        words = self.reading.expand(self.layout)
+
+        @lru_cache(maxsize=1)
+        def building(word: str) -> MecpEnv:
+            return MecpEnv(configuration(self.reading.resolve(word), self.config, line))
 
         def make(number: int) -> tuple[MecpEnv, int]:
             word, seed = later(words, self.seed, number)
-            if word == words[0]:
-                return first, seed
-            return MecpEnv(configuration(resolve(word, self.reading), self.config, line)), seed
+            return building(word), seed
+
+        building(words[0])  # before the window: it may be refused
+        require_display()
 
         game, window = Game(make, self.out, self.replay), Window("mecp_env: play")
         try:

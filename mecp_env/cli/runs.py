@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import BarColumn, TimeElapsedColumn
 from rich.table import Table
 
+from mecp_env.cli.base import echo
 from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.files import naming, sanitised, write_atomic
@@ -26,6 +27,7 @@ from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.render.figures import Moment, curves_figure, map_figure, moment_of, save
+from mecp_env.render.progress import Bar
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
 from mecp_env.render.screen import Film, Screen, ScreenConfig, thumbnail
@@ -45,10 +47,11 @@ FILM_WIDTH = 960  # px
 FILM_SIZE = (800, 640)  # px, of a log
 FRAMES = 150  # of a log
 FINAL = "final_"  # before the names of the figures of the smoothed path
-BESIDE = BarColumn(6), TimeElapsedColumn()  # with `status` they fit into 80 columns
-EVERY = 10  # steps between two updates of a bar
-LINE_STEPS = 200  # between two lines, where there is no terminal for a bar
-
+SHARE = BarColumn(6), TimeElapsedColumn()  # with what has been found they fit into 80 columns
+FOUND = (
+    "rooms {rooms_found:.0f}/{rooms:.0f} doors {doors_found:.0f}/{doors:.0f} seen {coverage:.1%} "
+    "error {error_cm:.1f} cm {speed:,.0f} steps/s"
+)
 ROWS = (  # shown name, format; left out where a metric is missing
     ("rooms found", "{rooms_found:.0f} of {rooms:.0f}, {rooms_false:.0f} false"),
     ("doors found", "{doors_found:.0f} of {doors:.0f}, {doors_false:.0f} false"),
@@ -77,23 +80,6 @@ ROWS = (  # shown name, format; left out where a metric is missing
     ("final trajectory", "{final_steps} steps, {final_s:.1f} s"),
     ("time per scan", "median {ms_per_scan_median:.1f} ms, mean {ms_per_scan_mean:.1f} ms"),
 )
-
-
-class Bar(Progress):
-    """How far a run is, with what has been found beside it; without a terminal, a line now and then."""
-
-    def __init__(self, title: str, total: float, *columns: Any, console: Console | None = None) -> None:
-        super().__init__(*columns, TextColumn("{task.description}"), console=console)
-        self.console.print(sanitised(title), style="bold", markup=False)
-        self.task, self.total = self.add_task("preparing", total=total), total
-
-    def show(self, step: int, state: Callable[[], tuple[float, str]]) -> None:
-        """Bring the bar up to date, every few steps: `state` says how much is done, and what has been found."""
-        if step % EVERY == 0 or step == self.total:
-            done, found = state()
-            self.update(self.task, completed=done, description=found)
-            if step % LINE_STEPS == 0 and not self.console.is_terminal:
-                self.console.print(f"step {step}: {found}", markup=False, highlight=False)
 
 
 def print_figures(title: str, metrics: Mapping[str, Any], folder: Path) -> None:
@@ -152,7 +138,7 @@ class Run:
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
     moments: list[Moment] = field(default_factory=list)  # what the curves show
     ended: str = "interrupted"
-    save_map: Callable[[], object] = lambda: None  # called by `keep` between the data and the pictures
+    view: SceneView = field(init=False)  # of the last step
 
     @property
     def steps(self) -> int:
@@ -177,7 +163,7 @@ class Run:
 
     def look(self, info: dict[str, Any] | None = None) -> None:
         """Keep what belongs to the present step."""
-        view = self.env.view()
+        view = self.view = self.env.view()
         self.estimated.append(view.slam_output.belief.T_map_robot.copy())
         self.true.append(compose(inverse(view.T_world_map), view.T_world_robot))
         self.moments.append(moment_of(view))
@@ -189,34 +175,36 @@ class Run:
     def watched(self) -> Stopwatch:
         """Explore with a bar, until the end or Ctrl-C; the times of the stages."""
         layout = self.env.config.layout  # a shipped name, or a whole layout
-        title = f"exploring {layout if isinstance(layout, str) else layout['name']}"
-        with timed_stages() as watch, Bar(title, 1.0, *BESIDE) as bar, suppress(KeyboardInterrupt):
-            self.explore(lambda run: bar.show(run.steps, lambda: run.state(watch.steps_per_s)))
+        echo(f"exploring {layout if isinstance(layout, str) else layout['name']}")
+        with timed_stages() as watch, Bar(1.0, *SHARE) as bar, suppress(KeyboardInterrupt):
+            self.explore(lambda run: run.show(bar, watch.steps_per_s))
         return watch
 
-    def state(self, steps_per_s: float) -> tuple[float, str]:
-        """The share of the building that has been seen, and what has been found, in at most 65 characters."""
-        metrics = self.env.view().metrics
-        return metrics["coverage"], status(metrics, steps_per_s)
+    def show(self, bar: Bar, steps_per_s: float) -> None:
+        """Show the share of the building that has been seen, and what has been found, in at most 65 characters."""
+        found = FOUND.format(**self.view.metrics, error_cm=100.0 * self.view.metrics["pose_error_m"], speed=steps_per_s)
+        bar.show(self.view.metrics["coverage"], found, found)
 
-    def keep(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
-        """Write `FILES`, everything there is, into `folder`; returns the metrics."""
-        metrics, view, period_s = self.metrics(watch), self.env.view(), self.env.config.robot.period_s
+    def keep_data(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
+        """Write metrics, configuration and paths into `folder`; returns the metrics."""
+        metrics, period_s = self.metrics(watch), self.env.config.robot.period_s
         recipe = {"seed": self.seed, "policy": "breadth_first", "config": self.env.config.to_dict()}
         times = [step * period_s for step in range(len(self.estimated))]
         paths = {"trajectory.tum": (times, self.estimated), "truth.tum": (times, self.true)}
         _keep_data(folder, metrics, recipe, paths)
-        self.save_map()
-        self.film.add(self.picture(view))  # the last step, whether its turn has come or not
+        return metrics
+
+    def keep_pictures(self, folder: Path) -> None:
+        """Write the other `FILES` into `folder`."""
+        self.film.add(self.picture(self.view))  # the last step, whether its turn has come or not
         figures = {
-            "map.png": lambda: map_figure(view),
-            "curves.png": lambda: curves_figure(self.title, period_s, self.moments),
+            "map.png": lambda: map_figure(self.view),
+            "curves.png": lambda: curves_figure(self.title, self.env.config.robot.period_s, self.moments),
         }
-        _keep_pictures(folder, view.slam_output, figures, self.film)
+        _keep_pictures(folder, self.view.slam_output, figures, self.film)
         (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
         if self.recorder is not None:
             write_page(self.replay(), folder / "replay.html")
-        return metrics
 
     def picture(self, view: SceneView) -> Bytes:
         """A frame of the film, whose size fits the building."""
@@ -226,13 +214,13 @@ class Run:
     def replay(self) -> dict[str, Any]:
         """The run as its page plays it."""
         assert self.recorder is not None
-        found = ", ".join(f"{name} {value}" for name, value in summary(self.env.view().metrics))
+        found = ", ".join(f"{name} {value}" for name, value in summary(self.view.metrics))
         return self.recorder.run(self.title, f"{self.ended}: {found}")
 
     @property
     def title(self) -> str:
         """The building, the estimator and the seed."""
-        return f"{self.env.view().title.partition(', step')[0]}, seed {self.seed}"
+        return f"{self.view.title.partition(', step')[0]}, seed {self.seed}"
 
     def metrics(self, watch: Stopwatch) -> dict[str, Any]:
         """The figures of the run so far, measured on the truth, and its times."""
@@ -241,19 +229,11 @@ class Run:
         return {"ended": self.ended, **self.env.summary(), **speed}
 
 
-def status(metrics: Mapping[str, float], steps_per_s: float) -> str:
-    """How far an exploration has come, in at most 65 characters: with bar and time it fits into 80 columns."""
-    return (
-        "rooms {rooms_found:.0f}/{rooms:.0f} doors {doors_found:.0f}/{doors:.0f} seen {coverage:.1%}".format(**metrics)
-        + f" error {100.0 * metrics['pose_error_m']:.1f} cm {steps_per_s:,.0f} steps/s"
-    )
-
-
 class LogFiles:
     """The film and the path of a run in progress, and the files at its end."""
 
     def __init__(self, log: Log, planned: int, rerun: RerunLog | None = None) -> None:
-        self.log, self.planned, self.rerun = log, planned, rerun
+        self.log, self.rerun = log, rerun
         self.film = Film(every=max(1, planned // FRAMES))
         self.path: list[Array] = []  # (2,) m, map frame
         self.recorder = Recorder()
@@ -269,15 +249,11 @@ class LogFiles:
         if self.rerun is not None:
             self.rerun.look(view, seconds=seconds)
 
-    def bar(self) -> Bar:
-        """A bar of the scans, with the time that is left."""
-        times = MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn()
-        return Bar(f"mapping {self.log.name}", self.planned, BarColumn(20), *times)
-
-    def state(self) -> tuple[float, str]:
-        """How many scans are mapped, and what has been found."""
+    def show(self, bar: Bar) -> None:
+        """Show how many scans are mapped, and what has been found."""
         graph = self.output.graph
-        return len(self.path), f"rooms {len(graph.rooms)} doors {len(graph.doors)}"
+        found = f"rooms {len(graph.rooms)} doors {len(graph.doors)}"
+        bar.show(len(self.path), found, f"scan {len(self.path)}: {found}")
 
     def _frame(self, output: SlamOutput) -> Any:
         rooms, doors = len(output.graph.rooms), len(output.graph.doors)

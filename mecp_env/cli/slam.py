@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 from pydantic import Field
@@ -20,10 +20,9 @@ from mecp_env.cli.base import (
     check_folder,
     check_writable,
     echo,
-    exit_code,
     print_error,
 )
-from mecp_env.cli.options import WithModules, check_map, end_rerun, named_fields, rerun_log, save_map, spare_sources
+from mecp_env.cli.options import KeepsMap, named_fields, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import OdometryConfig
@@ -55,18 +54,18 @@ SlamFields.__name__, NoiseFields.__name__ = "--config", "--noise"  # errors then
 
 
 @dataclass(frozen=True)
-class Slam(WithModules):
-    """Map a recorded log: a CARMEN log, a ROS 1 or ROS 2 bag, or a NumPy archive; keep pictures, figures and paths."""
+class Slam(KeepsMap):
+    """Map a recorded log: a CARMEN log, a ROS 1 or ROS 2 bag, or a NumPy archive; keep pictures, figures and paths.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env slam intel.log",
-        "mecp-env slam office.bag --scan-topic /front/scan --out runs/office",
-        "mecp-env slam fr079.npz --odometry reference --seed 1 --save-map fr079.zip",
-        "mecp-env slam monday.bag --from-map fr079.zip --start unknown",
-        "mecp-env slam intel.log --config.sensor.range-sigma-m 0.03 --config.sensor.x-m 0.1",
-        "mecp-env slam intel.log --noise.turn-sigma-deg 4.5 --noise.distance-scale 1.02",
-        "mecp-env slam intel.log --noise paper",
-    )
+    Examples:
+        mecp-env slam intel.log
+        mecp-env slam office.bag --scan-topic /front/scan --out runs/office
+        mecp-env slam fr079.npz --odometry reference --seed 1 --save-map fr079.zip
+        mecp-env slam monday.bag --from-map fr079.zip --start unknown
+        mecp-env slam intel.log --config.sensor.range-sigma-m 0.03 --config.sensor.x-m 0.1
+        mecp-env slam intel.log --noise.turn-sigma-deg 4.5 --noise.distance-scale 1.02
+        mecp-env slam intel.log --noise paper
+    """
 
     log: Annotated[Path, tyro.conf.Positional]
     out: Path | None = None  # folder for what is kept; default: runs/slam-NAME
@@ -87,28 +86,21 @@ class Slam(WithModules):
     rest_deg: Annotated[float, Field(ge=0.0, le=45.0)] = 0.05  # and less turn than this, are skipped
     from_map: Path | None = None  # a saved map to go on in
     start: str = "saved"  # where, in that map: saved, unknown (it is searched for), or a pose as X,Y,HEADING
-    rerun: Path | None = None  # file for a recording of the rerun viewer (.rrd)
-    save_map: Path | None = None  # file for the map, which the estimator can localise in (a .zip)
     config: SlamFields = field(default_factory=SlamFields)  # any field of the estimator
     noise_from: Annotated[Literal["auto", "paper"], tyro.conf.arg(name="noise")] = "auto"  # auto: found by registration
     # of the log's scans, with scale and bias of its odometry and mounting of its laser; paper: nothing is corrected
     noise: NoiseFields = field(default_factory=NoiseFields)
 
-    keeps_results = True
-
     def run(self, line: Line) -> int:
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
-        from mecp_env.cli.runs import (
-            LOG_FILES,
-            LogFiles,
-            print_figures,
-        )  # loaded only here, so that help and errors come at once
+        from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures  # here, so that help and errors come at once
         from mecp_env.core.warm_up import prepare
         from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
+        from mecp_env.render.progress import Bar
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in LOG_FILES], [str(path) for path in (self.log, self.from_map) if path])
-        check_map(self.save_map, str(self.log), "slam")
+        self.check_map(str(self.log), "slam")
         log, fault = self._checked(self._read())
         pipeline, calibration = self._estimator(log, fault, line)
         keys = "odometry", "seed", "rest_m", "rest_deg"
@@ -119,19 +111,20 @@ class Slam(WithModules):
         print_calibration(calibration)
         planned = len(drive.planned())
         prepare()
-        files = LogFiles(log, planned, rerun_log(self.rerun))
-        with files.bar() as bar, suppress(KeyboardInterrupt):
+        files = LogFiles(log, planned, self.recording())
+        echo(f"mapping {log.name}")
+        with Bar(planned) as bar, suppress(KeyboardInterrupt):
             for output in drive.steps():
                 files.look(output, drive.rows[-1])
-                bar.show(len(files.path), files.state)
-        end_rerun(files.rerun, self.rerun)
+                files.show(bar)
+        self.end_recording(files.rerun)
         if drive.output is None and drive.ended == "interrupted":
             return INTERRUPTED
         run = drive.result()
-        saved = save_map(run.pipeline, self.save_map)
+        code = self.keep_map(run.pipeline)
         metrics = files.keep(folder, run, self._recipe(run, options))
         print_figures(f"log {run.ended}", metrics, folder)
-        return exit_code(self._ended(run, options, fault), saved)
+        return max(self._ended(run, options, fault), code)
 
     def _ended(self, run: LogRun, options: LogRunConfig, of_laser: str | None) -> int:
         """The exit code, with the reason where the result is of no use, and what is wrong with the laser."""
@@ -208,10 +201,8 @@ class Slam(WithModules):
 
     def _start(self) -> MapStart:
         """Where to begin in the map. Raises `ConfigError`."""
-        if self.start == "saved":
-            return "saved"
-        if self.start == "unknown":
-            return "unknown"
+        if self.start in ("saved", "unknown"):
+            return cast("MapStart", self.start)
         try:
             x, y, heading = map(float, self.start.split(","))
         except ValueError:
@@ -240,13 +231,6 @@ UNITS = {  # of the fields of a calibration; the others have none
     "turn_sigma_turning_deg": "deg per sqrt(rad)",
     "range_sigma_m": "m",
 }
-COLUMNS: dict[str, Literal["left", "right"]] = {
-    "field": "left",
-    "value": "right",
-    "sigma": "right",
-    "unit": "left",
-    "source": "left",
-}
 
 
 def print_calibration(calibration: Calibration | None) -> None:
@@ -254,15 +238,14 @@ def print_calibration(calibration: Calibration | None) -> None:
     if calibration is None:
         return
     from rich.console import Console
-    from rich.table import Table
+    from rich.table import Column, Table
 
     title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
-    table = Table(title=title, title_justify="left")
-    for column, side in COLUMNS.items():
-        table.add_column(column, justify=side)
+    value, sigma = (Column(name, justify="right") for name in ("value", "sigma"))
+    table = Table("field", value, sigma, "unit", "source", title=title, title_justify="left")
     for name, estimate in calibration.estimates.items():
-        sigma = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
-        table.add_row(name, f"{estimate.value:.4f}", sigma, UNITS.get(name, ""), estimate.source)
+        spread = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
+        table.add_row(name, f"{estimate.value:.4f}", spread, UNITS.get(name, ""), estimate.source)
     if calibration.range_noise_m is not None:
         table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
     Console().print(table)
@@ -271,12 +254,12 @@ def print_calibration(calibration: Calibration | None) -> None:
 
 @dataclass(frozen=True)
 class Export(Command):
-    """Write landmarks, rooms, a graph or the grid of a saved map (--save-map) for other programs."""
+    """Write landmarks, rooms, a graph or the grid of a saved map (--save-map) for other programs.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env export map.zip --landmarks x.csv --rooms x.geojson",
-        "mecp-env export map.zip --joint-covariance x.npz",
-    )
+    Examples:
+        mecp-env export map.zip --landmarks x.csv --rooms x.geojson
+        mecp-env export map.zip --joint-covariance x.npz
+    """
 
     source: Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="MAP")]
     landmarks: Path | None = None  # .csv: position and covariance of each landmark
@@ -284,8 +267,6 @@ class Export(Command):
     rooms: Path | None = None  # .geojson: outlines of rooms and doors, in metres of the map frame
     g2o: Path | None = None  # .g2o: the pose and the landmarks as a graph
     grid: Path | None = None  # .yaml: the grid for map_server, with its .pgm beside it
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Read the map, write every file that is asked for, a line each."""

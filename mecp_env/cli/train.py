@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, ClassVar, Self
+from typing import Annotated, Self
 
 import tyro
 
@@ -20,16 +20,16 @@ ENDS = {0: "done", FAILED: "failed, saved up to the last checkpoint", INTERRUPTE
 @dataclass(frozen=True)
 class Train(WithModules):
     """Train a policy: maskable_ppo selects goals, ppo and recurrent_ppo drive by velocities. Every field of the
-    environment and every hyperparameter is an option."""
+    environment and every hyperparameter is an option.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env train maskable_ppo",
-        "mecp-env train maskable_ppo --steps 50000 --seed 1 --env.estimator truth --out runs/truth-1",
-        "mecp-env train maskable_ppo --task ActiveHalls-v0",
-        "mecp-env train ppo --buildings.difficulty easy --environments 4",
-        "mecp-env train maskable_ppo --config runs/truth-1/config.json --seed 2",
-        "mecp-env train --resume runs/truth-1",
-    )
+    Examples:
+        mecp-env train maskable_ppo
+        mecp-env train maskable_ppo --steps 50000 --seed 1 --env.estimator truth --out runs/truth-1
+        mecp-env train maskable_ppo --task ActiveHalls-v0
+        mecp-env train ppo --buildings.difficulty easy --environments 4
+        mecp-env train maskable_ppo --config runs/truth-1/config.json --seed 2
+        mecp-env train --resume runs/truth-1
+    """
 
     algorithm: tyro.conf.Positional[str] = ""  # maskable_ppo, ppo or recurrent_ppo; with --config or --resume as there
     config: Path | None = None  # a JSON file such as the config.json of a run; options override it
@@ -45,14 +45,11 @@ class Train(WithModules):
 
     def run(self, line: Line) -> int:
         """Train to the end, or until Ctrl-C; 1 when a worker died, a weight is not finite, or the disk is full."""
-        from mecp_env.cli.base import unbreakable_output
-
         config, folder = self.resumed(line) if self.resume else self.new(line)
-        with unbreakable_output():
-            code = self._train(config, folder)
-            echo(f"{ENDS[code]}: {folder}")
-            if code:
-                echo(f"continue with: mecp-env train --resume {folder}")
+        code = self._train(config, folder)
+        echo(f"{ENDS[code]}: {folder}")
+        if code:
+            echo(f"continue with: mecp-env train --resume {folder}")
         return code
 
     def _train(self, config: TrainConfig, folder: Path) -> int:

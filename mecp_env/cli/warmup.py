@@ -11,7 +11,7 @@ import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, ClassVar
+from typing import Annotated, Any
 
 import numpy as np
 from pydantic import Field
@@ -126,9 +126,12 @@ DRIVES = {drive.__name__: drive for drive in (episode, log, tasks)}
 
 @dataclass(frozen=True)
 class WarmUp(Command):
-    """Compile what the commands call into the user's cache, by short drives in processes of their own."""
+    """Compile what the commands call into the user's cache, by short drives in processes of their own.
 
-    examples: ClassVar[tuple[str, ...]] = ("mecp-env warmup", "mecp-env warmup --jobs 1")
+    Examples:
+        mecp-env warmup
+        mecp-env warmup --jobs 1
+    """
 
     jobs: Annotated[int, Field(ge=1)] | None = None  # processes at the same time, at most two; default: one per core
 

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from statistics import fmean, median
-from typing import Annotated, Any, ClassVar, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 import tyro
 from pydantic import Field
@@ -19,19 +19,7 @@ from rich.table import Table
 from rich.text import Text
 
 from mecp_env.cli.base import LISTS, WRONG_INPUT, Command, Line, Seed, check_folder, check_writable, echo, tracked
-from mecp_env.cli.options import (
-    NONE_GIVEN,
-    Buildings,
-    Reading,
-    ReadingOptions,
-    counted,
-    expand,
-    expand_all,
-    load,
-    one,
-    spare_sources,
-    stem,
-)
+from mecp_env.cli.options import NONE_GIVEN, Buildings, Reading, ReadsPlans, counted, spare_sources, stem
 from mecp_env.core.errors import ConfigError, LayoutError, MecpError
 from mecp_env.core.files import is_folder, naming, sanitised, write_atomic
 from mecp_env.floorplans.exporters import save_map_server, save_svg
@@ -47,9 +35,13 @@ Out = Annotated[tyro.conf.Positional[Path], tyro.conf.arg(metavar="OUT")]
 
 @dataclass(frozen=True)
 class List(Command):
-    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds."""
+    """The buildings that come with the package, the difficulties of generated ones, and the splits of their seeds.
 
-    examples: ClassVar[tuple[str, ...]] = ("mecp-env worlds list",)
+    Examples:
+        mecp-env worlds list
+    """
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
@@ -61,16 +53,17 @@ class List(Command):
 
 
 @dataclass(frozen=True)
-class Validate(Command):
-    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong."""
+class Validate(ReadsPlans):
+    """Say of each file whether it is a sound building, or what is wrong and where. Exit code 2 if any is wrong.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds validate my-house.json",
-        "mecp-env worlds validate runs/worlds",
-    )
+    Examples:
+        mecp-env worlds validate my-house.json
+        mecp-env worlds validate runs/worlds
+    """
 
     files: Buildings  # files, folders, or any building as for draw
-    reading: ReadingOptions = field(default_factory=Reading)
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Check every file, a line each."""
@@ -83,12 +76,12 @@ class Validate(Command):
 def sound(word: str, reading: Reading) -> bool:
     """Whether a building is sound, or all of a series or folder; prints a line for each, with the reason if not."""
     try:
-        singles = expand(word, reading)
+        singles = reading.expand(word)
         if word and is_folder(word):
             _tell_left_out(Path(word), reading)
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
-        echo(f"ok     {word}: {counted(load(word, reading))}")
+        echo(f"ok     {word}: {counted(reading.load(word))}")
     except MecpError as error:
         echo(f"wrong  {error}")
         return False
@@ -102,31 +95,28 @@ def _tell_left_out(folder: Path, reading: Reading) -> None:
 
 
 @dataclass(frozen=True)
-class Convert(Command):
-    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg."""
+class Convert(ReadsPlans):
+    """Write a building or a plan in another format: a layout (.json), a ROS map_server pair (.yaml), or .svg.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds convert plan.yaml house.json",
-        "mecp-env worlds convert scan.png house.json --resolution-m 0.05",
-        "mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1",
-    )
+    Examples:
+        mecp-env worlds convert plan.yaml house.json
+        mecp-env worlds convert scan.png house.json --resolution-m 0.05
+        mecp-env worlds convert hard:3 runs/hard-3.yaml --map-resolution-m 0.1
+    """
 
     source: In  # a building as for draw: a layout, HouseExpo JSON, a map_server .yaml, an image...
     target: Out  # .json, .yaml or .svg
     map_resolution_m: float = 0.05  # metres per pixel of a .yaml map that is written
-    reading: ReadingOptions = field(default_factory=Reading)
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Read, write, and print what was written."""
         write = WRITERS.get(self.target.suffix.lower())
         if write is None:
             raise ConfigError(f"target: {self.target}: written are {', '.join(WRITERS)}; `worlds draw` makes pictures")
-        source = one(self.source, self.reading, "source")
+        source = self.reading.one(self.source, "source")
         pair = [self.target.with_suffix(ending) for ending in (".yaml", ".pgm")]
         spare_sources(pair if write is _write_map else [self.target], [source])
-        layout = load(source, self.reading)
+        layout = self.reading.load(source)
         check_writable(self.target, "target")
         with tempfile.TemporaryDirectory() as folder:  # what fails leaves nothing
             with naming(self.target):
@@ -174,22 +164,19 @@ def _presets() -> Table:
 
 
 @dataclass(frozen=True)
-class Draw(Command):
-    """Draw floor plans: one building as a picture, several as a sheet."""
+class Draw(ReadsPlans):
+    """Draw floor plans: one building as a picture, several as a sheet.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds draw office",
-        "mecp-env worlds draw hard:0-8 --out runs/hard.png",
-        "mecp-env worlds draw my-house.json paper --out runs/two.svg",
-        "mecp-env worlds draw scan.png --resolution-m 0.05",
-    )
+    Examples:
+        mecp-env worlds draw office
+        mecp-env worlds draw hard:0-8 --out runs/hard.png
+        mecp-env worlds draw my-house.json paper --out runs/two.svg
+        mecp-env worlds draw scan.png --resolution-m 0.05
+    """
 
     worlds: Buildings  # shipped names, hard:7, hard:0-9 (difficulty and seeds), files, folders
     out: Path | None = None  # the picture, .png or .svg; default: runs/NAME.png
     dpi: Annotated[int, Field(ge=30, le=600)] = 200  # pixels per inch of a PNG, 30 to 600
-    reading: ReadingOptions = field(default_factory=Reading)
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Draw, and say where the picture is."""
@@ -197,11 +184,13 @@ class Draw(Command):
 
         if self.out:
             check_writable(check_format(self.out))
-        words = expand_all(self.worlds, self.reading)
+        if not self.worlds:
+            raise ConfigError(NONE_GIVEN)
+        words = [word for given in self.worlds for word in self.reading.expand(given)]
         check_count(len(words))
         path = self.out or Path("runs") / f"{stem(words[0]) if len(words) == 1 else 'worlds'}.png"
         spare_sources([path], words)
-        buildings = [(title(word), load(word, self.reading)) for word in words]
+        buildings = [(title(word), self.reading.load(word)) for word in words]
         echo(str(draw(buildings, path, self.dpi)))
         return 0
 
@@ -229,13 +218,13 @@ RANGES = [option for option, value in FIELDS.items() if isinstance(value, tuple)
 @dataclass(frozen=True)
 class Generate(Command):
     """Generate buildings: layout files whose rooms, doors and loops are known. Every field of the specification is an
-    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it)."""
+    option; what is not given is what the difficulty has (`--difficulty hard --help` shows it).
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds generate --difficulty hard --seed 7",
-        "mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png",
-        "mecp-env worlds generate --difficulty easy --split test --count 10",
-    )
+    Examples:
+        mecp-env worlds generate --difficulty hard --seed 7
+        mecp-env worlds generate --rooms 12 --loops 3 --count 20 --out runs/twelve --sheet runs/twelve.png
+        mecp-env worlds generate --difficulty easy --split test --count 10
+    """
 
     difficulty: Difficulty = "medium"  # the preset below the other options
     seed: Seed = 0  # the first seed; with a split, the first building of the split
@@ -258,8 +247,6 @@ class Generate(Command):
         """Those of the difficulty that the line names."""
         chosen = [*line.first_words("--difficulty"), "medium"][0]
         return cls(spec=GeneratorSpec.preset(chosen)) if chosen in DIFFICULTIES else None
-
-    keeps_results = True
 
     def run(self, line: Line) -> int:
         """Write the files, one line on each."""
@@ -315,23 +302,24 @@ Figures = Mapping[str, float]
 
 
 @dataclass(frozen=True)
-class Stats(Command):
+class Stats(ReadsPlans):
     """Figures of buildings: rooms, doors, loops, floor, faces and corners that a laser can see, obstacles, and the
-    longest corridor (a room three times as long as wide). Of a series of seeds: the median, and from least to most."""
+    longest corridor (a room three times as long as wide). Of a series of seeds: the median, and from least to most.
 
-    examples: ClassVar[tuple[str, ...]] = (
-        "mecp-env worlds stats",
-        "mecp-env worlds stats paper office hard:7",
-        "mecp-env worlds stats easy:0-99 medium:0-99 --json",
-    )
+    Examples:
+        mecp-env worlds stats
+        mecp-env worlds stats paper office hard:7
+        mecp-env worlds stats easy:0-99 medium:0-99 --json
+    """
 
     worlds: Buildings = ()  # as for draw; none: all that are shipped
     json: bool = False  # as JSON, with every figure
-    reading: ReadingOptions = field(default_factory=Reading)
+
+    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Measure, and print a table or JSON."""
-        words = {word: expand(word, self.reading) for word in self.worlds or shipped_layouts()}
+        words = {word: self.reading.expand(word) for word in self.worlds or shipped_layouts()}
         measured = measure(words, self.reading)
         if self.json:
             print(json.dumps({word: together(figures) for word, figures in measured.items()}, indent=2))
@@ -346,8 +334,8 @@ def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, l
 
     single = [(word, building) for word, buildings in words.items() for building in buildings]
     found: dict[str, list[Figures]] = {word: [] for word in words}
-    for word, building in tracked(single, len(single), "measuring"):
-        found[word].append(asdict(building_figures(load(building, reading))))
+    for word, building in tracked(single, len(single), "buildings"):
+        found[word].append(asdict(building_figures(reading.load(building))))
     return found
 
 

@@ -33,24 +33,24 @@ KEPT = (
 )
 MOST_WORKERS = 8  # of an evaluation
 LENGTHS = ("episode_periods", "episode_decisions")
-REWARDS = (*(f"reward_{term}" for term in TERMS), "reward_custom")  # the last: of all custom terms
-FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *REWARDS, "terminated")
+REWARDS = tuple(f"reward_{term}" for term in TERMS)
+CUSTOM = "reward_custom"  # of all terms that the user has registered
+FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *REWARDS, CUSTOM, "terminated")
 
 
 class EpisodeStatistics:
-    """What is summed over an episode; `custom` are the names of the reward terms that the user has registered."""
+    """What is summed over an episode."""
 
-    def __init__(self, custom: Sequence[str] = ()) -> None:
-        self.curve = CoverageCurve()
-        self.rewards, self.custom = dict.fromkeys(REWARDS, 0.0), [f"reward_{name}" for name in custom]
-        self.decisions = 0
+    def __init__(self) -> None:
+        self.curve, self.decisions = CoverageCurve(), 0
+        self.rewards = dict.fromkeys((*REWARDS, CUSTOM), 0.0)
 
     def add(self, info: dict[str, Any]) -> None:
         """Add one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
-        for name in REWARDS[:-1]:
-            self.rewards[name] += info[name]
-        self.rewards[REWARDS[-1]] += sum(info[name] for name in self.custom)
+        for name, value in info.items():
+            if name.startswith("reward_"):
+                self.rewards[name if name in REWARDS else CUSTOM] += value
 
     def figures(self, summary: dict[str, float], terminated: bool) -> dict[str, float]:
         """The metrics of an episode, in the order of `FIGURES`."""
@@ -77,8 +77,7 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: Env, discount: float, discount_m: float) -> None:
         super().__init__(env)
         self.discount, self.discount_m = discount, discount_m
-        self.custom = tuple(env.get_wrapper_attr("config").reward.custom)
-        self.statistics, self.steps = EpisodeStatistics(self.custom), list[Step]()
+        self.statistics, self.steps = EpisodeStatistics(), list[Step]()
         self.goals = env.has_wrapper_attr("callback")  # of `GoalActions`
         if self.goals:
             env.set_wrapper_attr("callback", self.steps.append)
@@ -88,7 +87,7 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As of the wrapped environment; `info` is empty."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self.statistics, self.metres = EpisodeStatistics(self.custom), 0.0
+        self.statistics, self.metres = EpisodeStatistics(), 0.0
         self.statistics.add(info)
         return observation, {}
 

@@ -113,12 +113,10 @@ class StockModel:
 
     def reset(self, seed: int) -> None:
         """Start an episode; all draws in it follow from `seed`."""
-        import torch
-
         self.memory: Any = None
         self.episode_start = np.ones(1, np.bool_)
         if not self.deterministic:
-            torch.manual_seed(seed)
+            self.algorithm.set_random_seed(seed)
 
     def predict(self, inputs: Any, mask: Bools | None) -> Any:
         """An action of the algorithm; only MaskablePPO takes the mask."""

@@ -26,7 +26,14 @@ from mecp_env.core.files import write_atomic
 from mecp_env.core.settings import guess
 from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.encoder import make_network
-from mecp_env.learning.exported import StockModel, check_finite, load_script, load_zip, weights_of
+from mecp_env.learning.exported import (
+    NotFiniteError,
+    StockModel,
+    check_finite,
+    load_script,
+    load_zip,
+    weights_of,
+)
 from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, downsample
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped
@@ -72,7 +79,7 @@ def load(name_or_folder: str | Path, trust: bool = False) -> ModelPolicy:
         raise ConfigError(f"policy: {path} is a folder without {CONFIG}, so no run of mecp-env train; {EXPECTED}")
     config = TrainConfig.build(read_config(folder / CONFIG))
     network = make_network(config)
-    put_weights(network, *read_weights(folder, config))
+    put_weights(network, weights_file(folder, config))
     return LearnedPolicy(network, config, str(path))
 
 
@@ -98,18 +105,28 @@ def parts_of(path: Path) -> list[str]:
         return []
 
 
-def read_weights(folder: Path, config: TrainConfig) -> tuple[dict[str, Any], Path]:
-    """The weights that `policy.json` of a folder names, and their file. Raises `WeightError`."""
+def weights_file(folder: Path, config: TrainConfig) -> Path:
+    """The file of the weights that `policy.json` of a folder names, with that checksum. Raises `WeightError`."""
     if not (folder / POLICY).exists():
         raise WeightError(f"{folder}: no policy yet ({POLICY} is missing)")
     about = read_config(folder / POLICY)
     algorithm = about.get("algorithm")
     if algorithm != config.algorithm:
         raise WeightError(f"{folder / POLICY}: weights of {algorithm!r:.80}, {CONFIG} is of {config.algorithm}")
-    name, sha256 = about.get("file"), about.get("sha256")
-    if not isinstance(name, str) or not isinstance(sha256, str) or not FILE_NAME.fullmatch(name):
+    name, expected = about.get("file"), about.get("sha256")
+    if not isinstance(name, str) or not isinstance(expected, str) or not FILE_NAME.fullmatch(name):
         raise WeightError(f"{folder / POLICY}: expected the name of a file in this folder and its SHA-256")
-    return read_tensors(folder / name, sha256, MOST_POLICY_BYTES), folder / name
+    path = folder / name
+    try:
+        size = path.stat().st_size
+        if size > MOST_POLICY_BYTES:
+            raise WeightError(f"{path}: {size} bytes, at most {MOST_POLICY_BYTES}")
+        found = checksum(path.read_bytes())
+    except OSError as error:
+        raise WeightError(f"{path}: {error.strerror}") from None
+    if found != expected:
+        raise WeightError(f"{path}: its SHA-256 is {found}, expected {expected}: damaged or modified")
+    return path
 
 
 def write_json(path: Path, value: Any) -> None:
@@ -122,46 +139,23 @@ def checksum(data: bytes) -> str:
     return hashlib.sha256(data).hexdigest()
 
 
-def read_tensors(path: Path, sha256: str, most_bytes: int) -> dict[str, Tensor]:
-    """The tensors in a file. Raises `WeightError` when it is missing, too large, or has another checksum or format."""
-    try:
-        size = path.stat().st_size
-        if size > most_bytes:
-            raise WeightError(f"{path}: {size} bytes, at most {most_bytes}")
-        data = path.read_bytes()
-    except OSError as error:
-        raise WeightError(f"{path}: {error.strerror}") from None
-    if checksum(data) != sha256:
-        raise WeightError(f"{path}: its SHA-256 is {checksum(data)}, expected {sha256}: damaged or modified")
-    try:
-        tensors: dict[str, Tensor] = safetensors.torch.load(data)
-    except (safetensors.SafetensorError, ValueError, KeyError) as error:
-        raise WeightError(f"{path}: not a safetensors file: {error}") from None
-    return tensors
-
-
 def tensor_bytes(tensors: Mapping[str, Tensor]) -> bytes:
     """A safetensors file of some tensors."""
     plain = {name: tensor.detach().contiguous().clone() for name, tensor in tensors.items()}
     return bytes(safetensors.torch.save(plain))
 
 
-def put_weights(policy: nn.Module, weights: dict[str, Tensor], path: Path) -> None:
-    """Give a policy its weights. Raises `WeightError` unless names, shapes and types are those of its parameters."""
-    mine = weights_of(policy)
-    found, expected = (
-        {name: f"{tuple(tensor.shape)} {tensor.dtype}" for name, tensor in tensors.items()}
-        for tensors in (weights, mine)
-    )
-    wrong = sorted(name for name in found | expected if found.get(name) != expected.get(name))
-    if wrong:
-        difference = f"{wrong[0]} is {found.get(wrong[0], 'missing')}, expected {expected.get(wrong[0], 'none')}"
-        raise WeightError(f"{path}: of another architecture, {difference} (and {len(wrong) - 1} more)")
-    for name, given in weights.items():
-        if not bool(given.isfinite().all()):
-            raise WeightError(f"{path}: {name} is not finite")
-    for name, parameter in mine.items():
-        parameter.copy_(weights[name])
+def put_weights(policy: nn.Module, path: Path) -> None:
+    """Give a policy the weights in a file. Raises `WeightError` for another format or architecture, and for NaN."""
+    try:
+        safetensors.torch.load_model(policy, path)
+        check_finite(policy)
+    except safetensors.SafetensorError as error:
+        raise WeightError(f"{path}: not a safetensors file: {error}") from None
+    except RuntimeError as error:
+        raise WeightError(f"{path}: of another architecture: {' '.join(str(error).split()):.300}") from None
+    except NotFiniteError as error:
+        raise WeightError(f"{path}: {error}") from None
 
 
 def save_policy(folder: Path, policy: nn.Module, algorithm: str, facts: Mapping[str, Any]) -> None:

@@ -22,11 +22,8 @@ from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import MaxNLocator
 from pydantic import BaseModel, ConfigDict
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file
@@ -41,6 +38,7 @@ from mecp_env.learning.environments import FIGURES
 from mecp_env.learning.exported import check_archive, check_finite
 from mecp_env.learning.learned import MOST_POLICY_BYTES, write_json
 from mecp_env.render.figures import drawn, open_axes, save
+from mecp_env.render.progress import Bar
 
 fcntl: Any
 CLOCK = ("decisions", "periods", "episodes", "seconds")
@@ -49,7 +47,6 @@ TABLES = {
     "progress.csv": (*CLOCK, "periods_per_s", "waiting_share", *FIGURES, *LOSSES, "learning_rate"),
     "evaluation.csv": (*CLOCK, "n", "auc_error", *FIGURES),
 }
-BAR_WIDTH = 12
 
 
 try:
@@ -227,10 +224,8 @@ class RunLog:
 
     def __init__(self, folder: Path, steps: int, tensorboard: bool) -> None:
         self.folder, self.tensorboard = folder, tensorboard
-        columns = (BarColumn(BAR_WIDTH), MofNCompleteColumn(), TimeElapsedColumn(), TextColumn("left"))
-        self.bar = Progress(*columns, TimeRemainingColumn(), TextColumn("{task.description}"))
-        self.task = self.bar.add_task("starting", total=steps)
-        self.steps, self.tenths = steps, 0
+        self.bar, self.steps, self.found = Bar(steps), steps, "starting"
+        self.echo = self.bar.echo
         self.loggers: list[Logger] = []
 
     def __enter__(self) -> Self:
@@ -250,17 +245,10 @@ class RunLog:
         self.training, self.evaluation = self.loggers
         self.advance(decisions)
 
-    def advance(self, decisions: int, description: str | None = None) -> None:
-        """Update the progress bar; without a terminal, print a line at every tenth of the way."""
-        self.bar.update(self.task, completed=decisions, description=description)
-        tenths = 10 * decisions // self.steps
-        if tenths > self.tenths and not self.bar.console.is_terminal:
-            self.echo(f"{decisions:,} of {self.steps:,} decisions, {description or 'continued'}")
-        self.tenths = tenths
-
-    def echo(self, text: str) -> None:
-        """Print a line above the bar."""
-        self.bar.console.print(text, markup=False, highlight=False)
+    def advance(self, decisions: int, found: str = "") -> None:
+        """Update the progress bar; `found` stays beside it until the next one."""
+        self.found = found or self.found
+        self.bar.show(decisions, self.found, f"{decisions:,} of {self.steps:,} decisions, {self.found}")
 
     def add_evaluation(self, clock: Mapping[str, Any], figures: Mapping[str, float], best: bool) -> None:
         """Log an evaluation."""
@@ -306,11 +294,12 @@ def draw_training(folder: Path) -> Path | None:
     figure = Figure(figsize=(3.5 * len(panels), 3.4), layout="constrained")
     for axes, (name, title, factor) in zip(figure.subplots(1, len(panels), squeeze=False)[0], panels, strict=True):
         decisions, values = measured(updates, name)
-        axes.plot(decisions, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
-        axes.plot(decisions, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")
+        axes.plot(decisions / 1000, factor * values, ".", color=TRAINED, alpha=0.3, label="episodes of an update")
+        axes.plot(decisions / 1000, factor * running_mean(values), color=TRAINED, label=f"mean of {SMOOTHED} updates")
         decisions, values = measured(evaluations, name)
-        axes.plot(decisions, factor * values, "s", color=VALIDATED, markersize=6, label="validation")
-        dress(axes, title)
+        axes.plot(decisions / 1000, factor * values, "s", color=VALIDATED, markersize=6, label="validation")
+        axes.set(xlabel="decisions, thousand", ylabel=title)
+        open_axes(axes)
     named = drawn(figure.axes[0])
     if named["handles"]:
         figure.legend(**named, loc="outside lower center", ncols=3, frameon=False, fontsize=9)
@@ -330,13 +319,3 @@ def running_mean(values: Array) -> Array:
     """(n,) the mean of up to `SMOOTHED` values around each; fewer at the ends."""
     half = SMOOTHED // 2
     return np.array([values[max(0, i - half) : i + half + 1].mean() for i in range(len(values))])
-
-
-def dress(axes: Axes, title: str) -> None:
-    """Labels and grid."""
-    axes.set_ylabel(title, fontsize=10)
-    axes.set_xlabel("decisions, thousand", fontsize=10)
-    axes.xaxis.set_major_locator(MaxNLocator(6))
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value / 1000:g}")
-    axes.tick_params(labelsize=9)
-    open_axes(axes)

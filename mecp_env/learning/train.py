@@ -17,9 +17,8 @@ from typing import Any
 import numpy as np
 import torch
 from sb3_contrib import MaskablePPO
-from sb3_contrib.common.maskable.evaluation import evaluate_policy as evaluate_maskable
+from sb3_contrib.common.maskable.evaluation import evaluate_policy
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.vec_env import VecEnv, VecNormalize
 from torch import Tensor
@@ -40,7 +39,7 @@ from mecp_env.learning.run_folder import CLOCK, RunFolder, RunLog, TrainingState
 from mecp_env.learning.sb3_batch import OptionCallback
 from mecp_env.policies.registry import make_policy
 
-AT_ONCE: dict[signal.Signals, Any] = {signal.SIGINT: signal.default_int_handler, signal.SIGTERM: signal.SIG_DFL}
+ENDS = signal.SIGINT, signal.SIGTERM  # Ctrl-C, and what a scheduler of a cluster sends
 MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for the scale of the rewards
 ACTIVE = ("pause", "returning", "stachniss")  # explorers that act on their uncertainty
 TEACHERS = ("nearest", "next_best_view", "gain", "bfs", *ACTIVE)  # explorers that select goals
@@ -65,7 +64,6 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
         processes.keep()  # of an update; the workers are not meant
         log = stack.enter_context(RunLog(folder, config.steps, config.log.tensorboard))  # threads, after the forks
         run = stack.enter_context(closing(RunCallback(run_folder, log, timed)))
-        stack.enter_context(stopped_in_order(run))
         if resume:
             run.state = resumed(run_folder, model, log)
         done = learn(model, run)
@@ -105,17 +103,40 @@ def resumed(folder: RunFolder, model: OnPolicyAlgorithm, log: RunLog) -> Trainin
 
 
 def learn(model: OnPolicyAlgorithm, run: RunCallback) -> bool:
-    """Train to the end, or until `stop`; then everything is saved. An interrupted warm start is not."""
+    """Train to the end, or until Ctrl-C or SIGTERM; then everything is saved. An interrupted warm start is not."""
     config, log = run.folder.config, run.log
     log.start(run.state.decisions)
     model.set_logger(log.training)
-    teacher = config.warm_start.teacher and not run.state.decisions
-    if teacher and not warm_start(model, model.get_vec_normalize_env(), config, log, lambda: run.stop):
-        log.echo("nothing is saved yet: an interrupted warm start starts again")
+    first = config.warm_start.teacher and not run.state.decisions
+    if first and not warm_started(model, config, log):
         return False
     left = max(0, config.steps - run.state.decisions)
-    model.learn(left, callback=[OptionCallback(), run], reset_num_timesteps=False)
+    with handled_by(run.end):
+        model.learn(left, callback=[OptionCallback(), run], reset_num_timesteps=False)
     return not run.stop
+
+
+def warm_started(model: OnPolicyAlgorithm, config: TrainConfig, log: RunLog) -> bool:
+    """Warm start; False after Ctrl-C or SIGTERM."""
+    try:
+        with handled_by(signal.default_int_handler):
+            warm_start(model, model.get_vec_normalize_env(), config, log)
+    except KeyboardInterrupt:
+        log.echo("nothing is saved yet: an interrupted warm start starts again")
+        return False
+    log.advance(0, "first update")
+    return True
+
+
+@contextmanager
+def handled_by(handler: Callable[[int, Any], Any]) -> Iterator[None]:
+    """Within it that function handles Ctrl-C and SIGTERM."""
+    before = {number: signal.signal(number, handler) for number in ENDS}
+    try:
+        yield
+    finally:
+        for number, previous in before.items():
+            signal.signal(number, previous)
 
 
 def reward_statistics(model: OnPolicyAlgorithm) -> Any:
@@ -141,9 +162,7 @@ class RunCallback(BaseCallback):
         self.saved_s = time.perf_counter()
 
     def _on_training_start(self) -> None:
-        self._start_clock()
-
-    def _start_clock(self) -> None:
+        """Also at the end of every rollout."""
         self.start_s, self.start_periods = time.perf_counter(), self.state.periods
         self.timed.waited_s = 0.0
 
@@ -171,12 +190,12 @@ class RunCallback(BaseCallback):
         seconds = time.perf_counter() - self.start_s
         self.state.seconds += seconds
         rate, waiting = (self.state.periods - self.start_periods) / seconds, self.timed.waited_s / seconds
-        self._start_clock()
+        self._on_training_start()
         for name, value in (self.clock() | {"periods_per_s": rate, "waiting_share": waiting}).items():
             self.logger.record(f"time/{name}", value)
         area = self.logger.name_to_value.get("rollout/auc")
-        text = f"{rate:,.0f} steps/s, waiting {waiting:.0%}"
-        self.log.advance(self.state.decisions, text if area is None else f"area {area:.3f}, {text}")
+        found = "" if area is None else f"area {area:.3f}, "
+        self.log.advance(self.state.decisions, f"{found}{rate:,.0f} steps/s, waiting {waiting:.0%}")
 
     def _on_training_end(self) -> None:
         check_finite(self.model.policy)
@@ -228,9 +247,16 @@ class RunCallback(BaseCallback):
 
         self.validation = self.validation or make_validation(self.folder.config)
         self.validation.seed(0)
-        evaluate: Any = evaluate_maskable if isinstance(self.model, MaskablePPO) else evaluate_policy
-        evaluate(self.model, self.validation, buildings, callback=collect, warn=False)
+        model: Any = self.model  # of any algorithm
+        masked = isinstance(model, MaskablePPO)
+        evaluate_policy(model, self.validation, buildings, callback=collect, warn=False, use_masking=masked)
         return mean_of(found)
+
+    def end(self, number: int, _: Any) -> None:
+        """End the training in order after the present step; the same signal again ends it at once."""
+        self.stop, name = True, "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
+        self.log.echo(f"stopping: everything is saved after this step; {name} again ends at once")
+        signal.signal(number, signal.default_int_handler if number == signal.SIGINT else signal.SIG_DFL)
 
     def close(self) -> None:
         """End the workers."""
@@ -243,24 +269,6 @@ def mean_of(episodes: list[dict[str, float]]) -> dict[str, float]:
     means = {name: float(np.mean([episode[name] for episode in episodes])) for name in FIGURES}
     spread = float(np.std([episode["auc"] for episode in episodes])) / max(1, len(episodes) - 1) ** 0.5
     return means | {"auc_error": spread, "n": len(episodes)}
-
-
-@contextmanager
-def stopped_in_order(run: RunCallback) -> Iterator[None]:
-    """Within it Ctrl-C or SIGTERM, as of a cluster's scheduler, ends the run in order; a second one ends it at once."""
-
-    def stop(number: int, frame: Any) -> None:
-        run.stop = True
-        name = "Ctrl-C" if number == signal.SIGINT else signal.Signals(number).name
-        run.log.echo(f"stopping: everything is saved after this step; {name} again ends at once")
-        signal.signal(number, AT_ONCE[signal.Signals(number)])
-
-    before = {number: signal.signal(number, stop) for number in AT_ONCE}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def check_teacher(config: TrainConfig) -> None:
@@ -277,26 +285,20 @@ def check_teacher(config: TrainConfig) -> None:
         raise ConfigError(f"warm_start.teacher: {name} acts on its uncertainty, which a `task` shows")
 
 
-def warm_start(
-    model: Any, venv: VecNormalize, config: TrainConfig, log: RunLog, stop: Callable[[], bool] = lambda: False
-) -> bool:
-    """Let the policy imitate the teacher, and the critic learn its returns; False when `stop()` came before the end."""
-    lesson = gather(config, log, stop)
-    if stop():
-        return False
-    scale_rewards(venv, lesson["returns"])
+def warm_start(model: Any, venv: VecNormalize, config: TrainConfig, log: RunLog) -> None:
+    """Let the policy imitate the teacher, and the critic learn its returns."""
+    lesson = gather(config, log)
+    venv.ret_rms.mean, venv.ret_rms.var = np.array(lesson["returns"].mean()), np.array(lesson["returns"].var())
+    venv.ret_rms.count = float(len(lesson["returns"]))  # rewards are normalised by the returns of the teacher
     targets = torch.as_tensor(lesson.pop("returns") / np.sqrt(venv.ret_rms.var + venv.epsilon))
     actions = torch.as_tensor(lesson.pop("action"))
     tensors = {name: torch.as_tensor(values) for name, values in lesson.items()}, actions, targets
     rng = np.random.default_rng(config.seed)
     agreed, imitate = float("nan"), config.warm_start.imitate
     for _ in range(config.warm_start.epochs):
-        if stop():
-            return False
         parts = torch.as_tensor(rng.permutation(len(actions))).split(BATCH)
         agreed = float(np.mean([gradient_step(model, tensors, rows, imitate) for rows in parts]))
     log.echo(f"warm start: {len(actions):,} decisions of {config.warm_start.teacher}, agrees with {agreed:.0%}")
-    return True
 
 
 def gradient_step(model: Any, lesson: tuple[dict[str, Tensor], Tensor, Tensor], rows: Tensor, imitate: bool) -> float:
@@ -318,28 +320,22 @@ def gradient_step(model: Any, lesson: tuple[dict[str, Tensor], Tensor, Tensor], 
     return float((chosen == actions[rows]).float().mean())
 
 
-def scale_rewards(venv: VecNormalize, returns: np.ndarray) -> None:
-    """Normalise rewards by the returns of the teacher."""
-    venv.ret_rms.mean, venv.ret_rms.var = np.array(returns.mean()), np.array(returns.var())
-    venv.ret_rms.count = float(len(returns))
-
-
-def gather(config: TrainConfig, log: RunLog, stop: Callable[[], bool]) -> Lesson:
-    """At least as many decisions of the teacher as configured, in complete episodes; fewer after `stop()`."""
+def gather(config: TrainConfig, log: RunLog) -> Lesson:
+    """At least as many decisions of the teacher as configured, in complete episodes."""
     parts, held, wanted = list[Lesson](), 0, config.warm_start.decisions
-    with closing(episodes(config, stop)) as lessons:
-        while held < wanted and (part := next(lessons, None)) is not None:
-            parts.append(part)
-            held += len(part["action"])
+    with closing(episodes(config)) as lessons:
+        while held < wanted:
+            parts.append(next(lessons))
+            held += len(parts[-1]["action"])
             log.advance(0, f"warm start: {held:,} of {wanted:,} decisions")
-    return {name: np.concatenate([part[name] for part in parts]) for name in (parts[0] if parts else ())}
+    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 
 
-def episodes(config: TrainConfig, stop: Callable[[], bool]) -> Generator[Lesson]:
-    """Episodes of the teacher until `stop()`, always the same ones in the same order. Raises `WorkerDied`."""
+def episodes(config: TrainConfig) -> Generator[Lesson]:
+    """Episodes of the teacher without end, always the same ones in the same order. Raises `WorkerDied`."""
     jobs = 1 if config.workers == "here" else max(2, min(config.environments, cores()))
     waiting, following = dict[int, Lesson](), 0
-    with closing(run_units(partial(teach, config), count(), jobs, stop)) as finished:
+    with closing(run_units(partial(teach, config), count(), jobs)) as finished:
         for number, lesson in finished:
             if isinstance(lesson, FailedUnit):
                 raise WorkerDied(f"warm start, episode {lesson}") from lesson.error

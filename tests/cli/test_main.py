@@ -118,6 +118,12 @@ def explored() -> Run:
     return run
 
 
+def keep(run: Run, folder: Path) -> None:
+    """Write all files of a run."""
+    run.keep_data(folder, Stopwatch())
+    run.keep_pictures(folder)
+
+
 @pytest.mark.parametrize(
     ("bytes_left", "name"),
     [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (100_000, "map.png")],
@@ -131,7 +137,7 @@ def test_a_full_disk_names_the_file_and_keeps_the_data(
     resource.setrlimit(resource.RLIMIT_FSIZE, (bytes_left, hard))
     try:
         with pytest.raises(OSError, match="too large") as error:
-            explored.keep(tmp_path, Stopwatch())
+            keep(explored, tmp_path)
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
     assert error.value.filename == str(tmp_path / name)
@@ -227,8 +233,10 @@ def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
 
 def test_every_command_can_be_loaded_and_has_examples() -> None:
     for words in cli.COMMANDS:
-        assert all(example.startswith(f"mecp-env {words}") for example in cli.load(words).examples)
-        assert cli.load(words).examples
+        about, examples = cli.load(words).help()
+        assert about.endswith(".")
+        assert examples
+        assert all(example.startswith(f"mecp-env {words}") for example in examples)
 
 
 def test_the_overview_loads_no_command_and_the_package_runs_as_a_module() -> None:

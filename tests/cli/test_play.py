@@ -8,7 +8,7 @@ import pygame
 import pytest
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.options import expand
+from mecp_env.cli.options import Reading
 from mecp_env.cli.play import Game, later
 from mecp_env.env import MecpEnv
 from mecp_env.render import palette
@@ -155,7 +155,7 @@ def test_a_drive_from_the_command_line(monkeypatch: pytest.MonkeyPatch, tmp_path
     ],
 )
 def test_rounds_take_one_building_after_the_other(layout: str, rounds: list[tuple[str, int]]) -> None:
-    assert [later(expand(layout), 5, number) for number in range(len(rounds))] == rounds
+    assert [later(Reading().expand(layout), 5, number) for number in range(len(rounds))] == rounds
 
 
 def test_next_walks_through_a_folder_and_tells_of_a_damaged_plan(

@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.options import Reading, expand
+from mecp_env.cli.options import Reading
 from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
@@ -149,9 +149,9 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
     assert run("convert", "office", tmp_path / "office.json") == 0
     assert run("convert", "two_rooms", below / "small.yaml") == 0
     (below / "alone.pgm").write_bytes((below / "small.pgm").read_bytes())
-    assert expand(str(tmp_path)) == [str(below / "small.yaml"), str(tmp_path / "office.json")]
-    assert expand(str(tmp_path), Reading(kind="layout")) == [str(tmp_path / "office.json")]
-    assert expand(str(tmp_path), Reading(kind="image", resolution_m=0.05)) == [str(below / "alone.pgm")]
+    assert Reading().expand(str(tmp_path)) == [str(below / "small.yaml"), str(tmp_path / "office.json")]
+    assert Reading(kind="layout").expand(str(tmp_path)) == [str(tmp_path / "office.json")]
+    assert Reading(kind="image", resolution_m=0.05).expand(str(tmp_path)) == [str(below / "alone.pgm")]
     (below / "away.json").symlink_to(__file__)
     assert run("validate", tmp_path) == 2
     assert "away.json: a link that leaves the folder" in capsys.readouterr().out

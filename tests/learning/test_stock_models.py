@@ -255,6 +255,19 @@ def test_a_model_draws_its_actions_where_the_file_beside_it_says_so(tmp_path: Pa
         load(path, trust=True)
 
 
+def test_a_model_that_tries_actions_at_random_does_so_by_the_seed_of_the_episode(tmp_path: Path) -> None:
+    """Seen: DQN drew from generators that nothing had seeded, so that an episode had another score each time."""
+    env = gymnasium.make("mecp_env/First-v0")
+    model = stock.DQN("MlpPolicy", env, device="cpu", buffer_size=10, policy_kwargs={"net_arch": [4]})
+    model.exploration_rate = 0.9  # as early in a training
+    model.save(tmp_path / "model.zip")
+    (tmp_path / "model.json").write_text('{"deterministic": false}')
+    observation, _ = env.reset(seed=0)
+    drawn = choices(tmp_path / "model.zip", observation)
+    assert len(set(drawn)) > 2
+    assert drawn == choices(tmp_path / "model.zip", observation)
+
+
 def choices(path: Path, observation: Any) -> list[int]:
     """What a model does in the same place, many times."""
     policy = load(path, trust=True)

@@ -7,7 +7,7 @@ import os
 import shutil
 import signal
 from functools import partial
-from itertools import count, islice
+from itertools import islice
 
 import gymnasium as gym
 import numpy as np
@@ -52,20 +52,17 @@ def test_what_ends_a_run_is_one_line(place, error, code, said, tmp_path, capsys,
     assert place[1] != "learn" or f"mecp-env train --resume {folder}\n" in printed.out
 
 
-@pytest.mark.parametrize("after", [1, 3])
-def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path, capsys, monkeypatch):
-    """While the teacher plays, and between two epochs: a resumed run starts the warm start again."""
-    asked, plain = count(), train.warm_start
+@pytest.mark.parametrize("place", ["teach", "gradient_step"])
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(place, number, tmp_path, capsys, monkeypatch):
+    """While the teacher plays, and while its lesson is learned: a resumed run starts the warm start again."""
+    plain = getattr(train, place)
 
-    def stopped(model, venv, config, log, stop):
-        def pressed():
-            if next(asked) == after:
-                signal.raise_signal(signal.SIGINT)
-            return stop()
+    def pressed(*given):
+        signal.raise_signal(number)
+        return plain(*given)
 
-        return plain(model, venv, config, log, pressed)
-
-    monkeypatch.setattr(train, "warm_start", stopped)
+    monkeypatch.setattr(train, place, pressed)
     folder, code = run(tmp_path, warm_start={"teacher": "bfs", "decisions": 16, "epochs": 2})
     assert code == 130
     assert "an interrupted warm start starts again" in capsys.readouterr().out.replace("\n", " ")
@@ -76,7 +73,7 @@ def test_ctrl_c_in_a_warm_start_ends_it_and_keeps_nothing_of_it(after, tmp_path,
 def test_lessons_come_in_order_and_an_episode_of_the_teacher_that_fails_is_named(monkeypatch):
     def lessons(*results):
         monkeypatch.setattr(train, "run_units", lambda *_: (yield from results))
-        return list(train.episodes(quick(workers="batch", warm_start={"teacher": "bfs"}), lambda: False))
+        return list(train.episodes(quick(workers="batch", warm_start={"teacher": "bfs"})))
 
     assert train.discounted_returns([(0, 1.0, 0.5), (0, 2.0, 0.9)]).tolist() == [2.0, 2.0]
     assert lessons((1, "b"), (0, "a"), (3, "d"), (2, "c"), (5, "f")) == [*"abcd"]
@@ -89,7 +86,7 @@ def test_lessons_come_in_order_and_an_episode_of_the_teacher_that_fails_is_named
 def test_lessons_of_processes_are_those_of_one_process():
     config = quick(warm_start={"teacher": "bfs"})
     many = config.model_copy(update={"workers": "batch"})
-    here, there = (list(islice(train.episodes(c, lambda: False), 3)) for c in (config, many))
+    here, there = (list(islice(train.episodes(c), 3)) for c in (config, many))
     for mine, yours in zip(here, there, strict=True):
         assert mine.keys() == yours.keys()
         assert all(mine[name].tobytes() == yours[name].tobytes() for name in mine)
