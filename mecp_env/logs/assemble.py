@@ -74,6 +74,7 @@ def assemble(
         ),
         relations=recording.relations,
         counts=+counts,
+        view_assumed=recording.view_assumed,
         notes=tuple(recording.notes),
         found=found,
     )

@@ -49,6 +49,7 @@ class Log(Sequence[LogRecord]):
     relations: Array = field(default_factory=lambda: np.empty((0, 5)))
     """(k,5) s, s, m, m, rad: two stamps, and the true pose at the second in the frame of the first."""
     counts: Mapping[str, int] = field(default_factory=dict)  # what was skipped or repaired -> how often
+    view_assumed: bool = False  # neither the file nor an option says the field of view
     notes: tuple[str, ...] = ()  # what a user should know of how the file was read
     found: int = 0  # scans in the file, of which this log has those that can be used; 0: not known
 

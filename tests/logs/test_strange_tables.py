@@ -301,6 +301,7 @@ def test_beams_of_any_number_and_spacing_around(tmp_path: Path) -> None:
         ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2. ... 3. 4.]"\n', "as NumPy prints it"),
         ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2.\n 3. 4.]"\n', "as NumPy prints it"),
         ("a.txt", b'{"t": 0.0, "ranges": [1.0, 2.0]}\n', "JSON: write"),
+        ("a.txt", b'[{"t": 0.0, "ranges": [1.0, 2.0]}]\n', "JSON: write"),
         ("a.yaml", b"header:\n  seq: 1\n---\n", "record a bag"),
         ("a.bag", bytes(100), "begins as none does"),
         ("a.xlsx", b"PK\x03\x04", "spreadsheet as .csv"),
