@@ -15,7 +15,7 @@ from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between, chained, composed, interpolated
 from mecp_env.logs.angles import FARTHEST_M, headings_in_radians, take_radians
-from mecp_env.logs.bridges import bridged
+from mecp_env.logs.bridges import bridged, with_ends
 from mecp_env.logs.clock import FASTEST_M_S, Clock, ascending_rows, carried, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
@@ -63,6 +63,7 @@ def assemble(
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
+    kept = kept if T_odom is None else with_ends(t, T_odom, kept)
     _note_blind(recording, readings)
     counts["gaps in time"] += _gaps(t[kept])
     ranges = readings.ranges if kept.all() else readings.ranges[kept]
@@ -74,6 +75,7 @@ def assemble(
         ),
         relations=recording.relations,
         counts=+counts,
+        merged=bool(recording.mounts),
         view_assumed=recording.view_assumed,
         notes=tuple(recording.notes),
         found=found,

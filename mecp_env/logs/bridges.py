@@ -41,6 +41,19 @@ def bridged(log: Log, sampled: Array) -> Log:
     )
 
 
+def with_ends(t: Array, T_odom_robot: Array, known: Bools) -> Bools:
+    """(n,) the poses (n,3) that are `known`, and those long before and behind them, which get the nearest of them.
+
+    There the odometry stands still, as far as it goes.
+    """
+    first, last = np.flatnonzero(known)[[0, -1]].tolist()
+    known = known.copy()
+    for rows, nearest in ((slice(0, first), first), (slice(last + 1, None), last)):
+        if len(t[rows]) >= STILL_SCANS and np.ptp(t[rows]) >= STILL_S:
+            T_odom_robot[rows], known[rows] = T_odom_robot[nearest], True
+    return known
+
+
 def _in_gaps(t: Array, sampled: Array) -> Bools:
     """(n-1,) true for each step between the stamps t (n,) that is within a gap of the odometry, with a scan in it."""
     pauses = np.diff(sampled)

@@ -49,6 +49,7 @@ class Log(Sequence[LogRecord]):
     relations: Array = field(default_factory=lambda: np.empty((0, 5)))
     """(k,5) s, s, m, m, rad: two stamps, and the true pose at the second in the frame of the first."""
     counts: Mapping[str, int] = field(default_factory=dict)  # what was skipped or repaired -> how often
+    merged: bool = False  # of several lasers: beams that none of them covers have no return, and tell nothing
     view_assumed: bool = False  # neither the file nor an option says the field of view
     notes: tuple[str, ...] = ()  # what a user should know of how the file was read
     found: int = 0  # scans in the file, of which this log has those that can be used; 0: not known
@@ -97,7 +98,7 @@ class Log(Sequence[LogRecord]):
         """Geometry of the laser and meaning of its beams without a return: fields of the estimator's sensor model."""
         x, y, heading = self.T_robot_laser.tolist()
         mount = {"x_m": x, "y_m": y, "heading_deg": math.degrees(heading)}
-        meaning = no_return_of(self.ranges, self.step_rad, self.max_range_m)
+        meaning = "unknown" if self.merged else no_return_of(self.ranges, self.step_rad, self.max_range_m)
         return {"field_of_view_deg": self.field_of_view_deg, "no_return": meaning, **mount}
 
 

@@ -152,7 +152,7 @@ LONGEST_M = 1000.0  # no laser measures farther
 NEAREST_M = 0.02  # nor nearer: such readings are codes of errors, as of Hokuyo lasers
 LIMITS_M = (8.191, 16.0, 30.0, 32.0, 50.0, 80.0, 81.91)  # common readings of lasers where nothing returns
 BELOW_LIMIT = 0.99  # of the largest range: from here on a reading is no return
-FEWEST_BEAMS, NARROWEST_DEG, COARSEST_DEG, MOST_TURNS = 8, 10.0, 17.0, 3.0  # sonars are no lasers
+FEWEST_BEAMS, NARROWEST_DEG, MOST_TURNS = 8, 10.0, 3.0
 USUAL_M = 100.0  # half of the readings that differ are nearer: farther ones are in mm or cm,
 FARTHEST_CM, NEARLY_ALL = 2000.0, 0.95  # in cm where nearly all of them are within a building
 MOST_ASKED = 1000  # sweeps that tell the unit of their readings
@@ -219,8 +219,6 @@ def _ascending(geometry: Geometry, field_of_view_deg: float | None) -> tuple[Int
     turns = beams * step / (2.0 * math.pi)
     if turns > MOST_TURNS:
         raise LogError(f"laser: {beams} beams {step:g} rad apart are {turns:.1f} turns, angles in rad expected")
-    if step > math.radians(COARSEST_DEG):
-        raise LogError(f"laser: {beams} beams {math.degrees(step):.3g} deg apart, at most {COARSEST_DEG:g} expected")
     once = wrapped(geometry.angles[: round(2.0 * math.pi / step)])  # the last beam of a circle may repeat the first
     once[once == -math.pi] = math.pi
     order = np.argsort(once)

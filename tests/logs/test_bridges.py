@@ -8,7 +8,7 @@ import pytest
 
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, read_log
-from mecp_env.logs.bridges import bridged
+from mecp_env.logs.bridges import bridged, with_ends
 from mecp_env.logs.odometry_model import OdometryModel
 from tests.logs.calibrated import simulated_log
 from tests.logs.files import BEARINGS, drive
@@ -46,6 +46,20 @@ def test_odometry_that_is_missing_for_a_while(log: Log) -> None:
     check_stretch(found, log)
     off = between(log.T_odom_robot[FIRST], log.T_odom_robot) - between(found.T_odom_robot[FIRST], found.T_odom_robot)
     assert abs(off[FIRST:LAST, :2]).max() < 0.1
+
+
+def test_odometry_that_begins_late_or_ends_early(log: Log) -> None:
+    poses = np.full_like(log.T_odom_robot, np.nan)
+    poses[FIRST:LAST] = log.T_odom_robot[FIRST:LAST]
+    known = with_ends(log.t, poses, np.isfinite(poses[:, 0]))
+    assert known.all()
+    found = bridged(replace(log, T_odom_robot=poses), log.t[FIRST:LAST])
+    for rows in ((0, FIRST), (LAST, len(log) - 1)):
+        np.testing.assert_allclose(
+            *(between(p[rows[0]], p[rows[1]]) for p in (found.T_odom_robot, log.T_ref_robot)), atol=0.15
+        )
+    few = np.isfinite(log.t) & (np.arange(len(log)) > 2)
+    assert (with_ends(log.t, log.T_odom_robot.copy(), few) == few).all()
 
 
 def test_a_robot_at_rest_is_left_at_rest(log: Log) -> None:
