@@ -20,7 +20,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.core.sensors import Scan
-from mecp_env.logs.lasers import no_return_of
+from mecp_env.logs.lasers import no_return_of, swallowed_of
 from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep, Track
 
 
@@ -99,7 +99,8 @@ class Log(Sequence[LogRecord]):
         x, y, heading = self.T_robot_laser.tolist()
         mount = {"x_m": x, "y_m": y, "heading_deg": math.degrees(heading)}
         meaning = "unknown" if self.merged else no_return_of(self.ranges, self.step_rad, self.max_range_m)
-        return {"field_of_view_deg": self.field_of_view_deg, "no_return": meaning, **mount}
+        lost = {"no_return": meaning, "dark_dropout": swallowed_of(self.ranges, self.step_rad)}
+        return {"field_of_view_deg": self.field_of_view_deg, **lost, **mount}
 
 
 MOST_BYTES = 2**31  # of the file, and unpacked

@@ -63,6 +63,15 @@ def test_a_weak_laser_is_learnt_from_beams_between_hits(tmp_path: Path) -> None:
     assert read_log(write_archive(tmp_path / "b.npz")).sensor()["no_return"] == "free"
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.05, 0.3])
+def test_the_share_of_beams_that_walls_swallow_is_learnt(path: Path, lost: float) -> None:
+    """By it the estimator knows which gaps in walls are none."""
+    log = read_log(path)
+    swallowed = np.random.default_rng(0).random(log.ranges.shape) < lost
+    found = replace(log, ranges=np.where(swallowed, np.nan, log.ranges)).sensor()["dark_dropout"]
+    assert found == pytest.approx(lost, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
