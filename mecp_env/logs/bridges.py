@@ -28,6 +28,8 @@ def bridged(log: Log, sampled: Array) -> Log:
     if log.T_odom_robot is None or len(log) < STILL_SCANS:
         return log
     steps = between(log.T_odom_robot[:-1], log.T_odom_robot[1:])
+    if _is_still(steps).all():
+        return log  # as a whole it is of no use: `--odometry none` does without, and says what that cannot show
     still = [(first, min(last + 1, len(steps))) for first, last in _runs(_is_still(steps)) if _moves(log, first, last)]
     runs = _runs(_in_gaps(log.t, sampled)) + still  # the odometry may catch up in the step behind
     if not runs:
