@@ -163,8 +163,10 @@ def _start(given: Mapping[str, float]) -> tuple[Array, Ints]:
 
 def _systematic(found: Systematic, described: Array) -> dict[str, Estimate]:
     """The estimates of scale, bias and mounting that the motions tell."""
-    values = (found.values + np.array([0.0, 0.0, 0.0, described[0], described[2]])) / UNITS
-    sigmas, known = found.sigmas / UNITS, np.flatnonzero(found.sigmas < UNKNOWN_SHARE * SPREAD)
+    values = found.values + np.array([0.0, 0.0, 0.0, described[0], described[2]])
+    values[-1] = math.remainder(float(values[-1]), 2.0 * math.pi)  # of a laser that looks backwards, about half a turn
+    values, sigmas = values / UNITS, found.sigmas / UNITS
+    known = np.flatnonzero(found.sigmas < UNKNOWN_SHARE * SPREAD)
     return {FIELDS[i]: Estimate(float(values[i]), float(sigmas[i]), "estimated") for i in known}
 
 

@@ -34,6 +34,7 @@ from mecp_env.world.config import OdometryConfig
 
 FEW_SHARE, FEWEST_SCANS = 0.1, 5  # of the scans of a file are used, at least, and at least so many
 LOST_SHARE, LOST_SCANS = 0.1, 5  # of the scans at the end, and at least so many: their pose is not known
+COARSEST_DEG = 17.0  # from one beam to the next, at most: sonars are no lasers
 AT_REST = "scans at rest, skipped"
 DAMAGED = ("damaged lines", "damaged rows", "damaged messages")
 
@@ -236,8 +237,14 @@ class LogRun:
 
 
 def sensor_of(log: Log, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
-    """Fields of the estimator's sensor model by the log's laser, but for those that are `given`."""
-    sigmas = {"range_sigma_m": RANGE_SIGMA_M, "bearing_sigma_deg": math.degrees(log.step_rad) / UNIFORM}
+    """Fields of the estimator's sensor model by the log's laser, but for those that are `given`. Raises `LogError`."""
+    step_deg = math.degrees(log.step_rad)
+    if step_deg > COARSEST_DEG:
+        raise LogError(
+            f"{log.name}: laser: {len(log.bearings)} beams {step_deg:.3g} deg apart show no corners of walls, "
+            f"at most {COARSEST_DEG:g} deg expected"
+        )
+    sigmas = {"range_sigma_m": RANGE_SIGMA_M, "bearing_sigma_deg": step_deg / UNIFORM}
     return log.sensor() | sigmas | dict(given or {})
 
 

@@ -82,6 +82,7 @@ MODES = ("1", "L", "LA", "P", "RGB", "RGBA")
 KNOWN = "PNG, PGM, BMP or TIFF"
 FORMATS = ("PNG", "PPM", "BMP", "TIFF")
 LEAST_ALPHA = 128  # a pixel that is less than half opaque shows nothing
+DARK = 128  # of 255: what is drawn in a level below is wall
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
 DAMAGE = (
     OSError,
@@ -153,7 +154,7 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
         beside = f" ({sheet.name} lies beside it)" if exists(sheet) else ""
         raise LayoutError(f"resolution_m: missing, metres per pixel; give it, or name a map_server yaml{beside}")
     levels, opaque = grey(read_image(path))
-    threshold = otsu(levels) if options.free_above is None else options.free_above
+    threshold = _threshold(levels, opaque) if options.free_above is None else options.free_above
     placement = Placement(options.resolution_m)
     between = "" if options.free_above is not None else _grey_between(shares(levels, opaque), threshold)
     floor = levels > threshold
@@ -164,6 +165,16 @@ def read_plain_image(path: Path, options: PlanOptions) -> FreeSpace:
         warnings.warn(f"{path.name!r:.80}: {between}; free_above decides", PlanWarning, stacklevel=2)
     note = f"From {path.name}: {options.resolution_m:g} m per pixel, floor where brighter than {threshold}."
     return FreeSpace(path.stem, f"{note} {between[:1].upper()}{between[1:]}".strip(), area, placement.noise_m)
+
+
+def _threshold(levels: NDArray[np.uint8], opaque: Bools) -> int:
+    """The grey level above which pixels are floor; of one bright colour on a transparent ground, that colour is."""
+    level = int(levels[0, 0])
+    if opaque.any() and not opaque.all() and (levels == level).all():
+        if level < DARK:
+            raise LayoutError("image: all of it is dark, on a transparent ground: save it on a white one")
+        return level - 1
+    return otsu(levels)
 
 
 def shares(levels: NDArray[np.uint8], opaque: Bools) -> Array:

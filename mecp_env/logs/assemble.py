@@ -15,6 +15,7 @@ from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between, chained, composed, interpolated
 from mecp_env.logs.angles import FARTHEST_M, headings_in_radians, take_radians
+from mecp_env.logs.bridges import bridged, with_ends
 from mecp_env.logs.clock import FASTEST_M_S, Clock, ascending_rows, carried, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
@@ -22,6 +23,8 @@ from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean, tak
 
 GAP = 5.0  # medians between two scans
 SLACK_M = 0.5  # a motion that is longer, and faster than a robot, is a jump of the odometry;
+SPIKE, MOST_SPIKES = 5, 0.1  # samples that jump away and back again, at most, and their share of all;
+USUAL = 0.95  # of the motions are shorter than those of which a robot is back
 JUMPS = 3  # of them, and half of all motions: more are no odometry in m
 FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
 FEW_SHARE = 0.5  # of the scans have odometry, at least; else the clocks may differ
@@ -60,17 +63,24 @@ def assemble(
     T_odom, T_ref = _at(t, odometry, "odometry", counts), _at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else np.isfinite(T_odom[:, 0])
     _check_clocks(recording, t, odometry, kept)
+    kept = kept if T_odom is None else with_ends(t, T_odom, kept)
     _note_blind(recording, readings)
     counts["gaps in time"] += _gaps(t[kept])
     ranges = readings.ranges if kept.all() else readings.ranges[kept]
-    return Log(
+    log = Log(
         *(recording.name, t[kept], ranges, readings.bearings, readings.limit_m, mount),
-        *(None if T_odom is None else _bridged(t[kept], T_odom[kept], counts), None if T_ref is None else T_ref[kept]),
+        *(
+            None if T_odom is None else _without_jumps(t[kept], T_odom[kept], counts),
+            None if T_ref is None else T_ref[kept],
+        ),
         relations=recording.relations,
         counts=+counts,
+        merged=bool(recording.mounts),
+        view_assumed=recording.view_assumed,
         notes=tuple(recording.notes),
         found=found,
     )
+    return bridged(log, _sound(odometry)[0])
 
 
 def _readings(recording: Recording, max_range_m: float | None, view_deg: float | None) -> Readings:
@@ -180,26 +190,70 @@ def _at(t: Array, track: Track, what: str, counts: Counter[str]) -> Array | None
     """(n,3) the poses of a track at the stamps t (n,), nan where it has none; None for an empty track."""
     if not track.t:
         return None
-    stamps, poses = np.array(track.t, np.float64), np.array(track.poses, np.float64)
-    rows = np.flatnonzero((abs(poses) < FARTHEST_M).all(axis=1))
-    rows = rows[ascending_rows(stamps[rows])]
-    counts[f"samples of the {what} that are damaged or out of order"] += len(stamps) - len(rows)
-    inside = (t >= stamps[rows[0]]) & (t <= stamps[rows[-1]]) if len(rows) else np.zeros(len(t), bool)
+    stamps, poses = _sound(track)
+    counts[f"samples of the {what} that are damaged or out of order"] += len(track.t) - len(stamps)
+    steady = ~_spikes(stamps, poses)
+    counts[f"samples of the {what} that jump away and back"] += int((~steady).sum())
+    stamps, poses = stamps[steady], poses[steady]
+    inside = (t >= stamps[0]) & (t <= stamps[-1]) if len(stamps) else np.zeros(len(t), bool)
     counts[f"scans without {what}"] += int((~inside).sum())
     found = np.full((len(t), 3), np.nan)
     if inside.any():
-        found[inside] = interpolated(stamps[rows], poses[rows], t[inside])
+        found[inside] = interpolated(stamps, poses, t[inside])
     return found
 
 
-def _bridged(t: Array, T_odom_robot: Array, counts: Counter[str]) -> Array:
+def _sound(track: Track) -> tuple[Array, Array]:
+    """The stamps (m,) and poses (m,3) of the samples that are finite and in order."""
+    stamps, poses = np.array(track.t, np.float64), np.array(track.poses, np.float64).reshape(-1, 3)
+    rows = np.flatnonzero((abs(poses) < FARTHEST_M).all(axis=1))
+    rows = rows[ascending_rows(stamps[rows])]
+    return stamps[rows], poses[rows]
+
+
+def _spikes(stamps: Array, poses: Array) -> Bools:
+    """(m,) true for single poses that jump away from those before and after them, which fit each other.
+
+    None where they are many: then the unit is another than m.
+    """
+    away, jumps = np.zeros(len(stamps), np.bool_), _are_jumps(stamps, poses)
+    if not jumps.any():
+        return away
+    usual_m = float(np.quantile(_lengths(poses)[~jumps], USUAL)) if not jumps.all() else 0.0
+    for row in np.flatnonzero(jumps).tolist():
+        if not away[row]:
+            away[row + 1 : _back(poses, row, usual_m)] = True
+    return away if away.sum() <= MOST_SPIKES * len(away) else np.zeros_like(away)
+
+
+def _back(poses: Array, row: int, usual_m: float) -> int:
+    """The first pose soon after the next one that is near that of a row; the next one where there is none."""
+    for after in range(row + 2, min(row + SPIKE + 2, len(poses))):
+        if math.dist(poses[row, :2], poses[after, :2]) < SLACK_M + usual_m * (after - row):
+            return after
+    return row + 1
+
+
+def _lengths(poses: Array) -> Array:
+    """(m-1,) m from each of the poses (m,3) to the next."""
+    lengths: Array = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    return lengths
+
+
+def _are_jumps(stamps: Array, poses: Array) -> Bools:
+    """(m-1,) true where a robot would be too fast from one of the poses (m,3) to the next."""
+    jumps: Bools = _lengths(poses) > SLACK_M + FASTEST_M_S * np.diff(stamps)
+    return jumps
+
+
+def _without_jumps(t: Array, T_odom_robot: Array, counts: Counter[str]) -> Array:
     """The poses (n,3) without jumps: a robot whose odometry was set to another pose has not moved.
 
     Raises `LogError` where half of the motions are jumps.
     """
     steps = between(T_odom_robot[:-1], T_odom_robot[1:])
     lengths = np.hypot(steps[:, 0], steps[:, 1])
-    jumps, moves = lengths > SLACK_M + FASTEST_M_S * np.diff(t), int((lengths > FIXED_M).sum())
+    jumps, moves = _are_jumps(t, T_odom_robot), int((lengths > FIXED_M).sum())
     if jumps.sum() > max(JUMPS, 0.5 * moves):
         raise LogError(
             f"odometry: {jumps.sum()} of {moves} motions are faster than {FASTEST_M_S:g} m/s, "

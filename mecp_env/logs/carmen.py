@@ -162,6 +162,7 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
         log.read(words)
     kind = _message(log, message)
     recording.sweeps = log.sweeps.pop(kind)
+    recording.view_assumed = kind == "FLASER" and field_of_view_deg is None
     recording.counts["scans of another message"] += sum(map(len, log.sweeps.values()))
     recording.T_robot_laser = np.array([log.mount.get(name, 0.0) for name in MOUNT]) if log.mount else None
     return replace(recording, counts=+recording.counts, budget=Budget.of(0))

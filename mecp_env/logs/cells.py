@@ -18,7 +18,10 @@ from mecp_env.core.carriers import Array
 LONGEST_LINE = 2**20
 COMMENTS = ("#", "%")
 SEPARATORS = (";", "\t", "|", ",")
-LIST, JOIN = re.compile(r"[\[(]([^\[\]()]*)[\])]"), "\x1f"
+LIST, JOIN = re.compile(r"[\[({]([^\[\](){}]*)[\])}]"), "\x1f"
+ARRAY = re.compile(r"array\('\w', (\[[^\[\]]*+\])\)")  # as Python prints a list of a ROS 2 message
+FEWEST_LISTED = 8  # numbers in a cell with spaces between them that are a list without brackets
+COMPACT_DATE = re.compile(r"((?:19|20)\d{6})[-_ T](\d{6})((?:[.,]\d+)?(?:Z|[-+]\d\d:?\d\d)?)\Z")
 PAIR = re.compile(r"(?<![A-Za-z])([A-Za-z]++)\s*+[:=]\s*+([^\s,;]++)")  # a name with its value, as `theta: 12.5`
 MISSING = {"", "-", "--", "?", "na", "n/a", "#n/a", "<na>", "null", "nil", "none", "nat", "missing"}
 NOT_FINITE = ("1.#inf", "-1.#inf", "1.#qnan", "-1.#ind")  # as old C libraries of Windows write them
@@ -55,15 +58,22 @@ def _row(number: int, text: str) -> Row:
     if len(pairs) > 1:
         names, values = zip(*pairs, strict=True)
         return Row(number, list(values), names)
-    text = LIST.sub(_joined, text)
+    text = LIST.sub(_joined, ARRAY.sub(r"\1", text))
     separator = next((mark for mark in SEPARATORS if mark in text), None)
     text = text if separator in (",", None) else text.replace(",", ".")
-    return Row(number, text.removesuffix(separator or "").split(separator))
+    cells = text.removesuffix(separator or "").split(separator)
+    return Row(number, cells if separator is None else [_listed(cell) for cell in cells])
+
+
+def _listed(cell: str) -> str:
+    """A cell, with `JOIN` between the numbers of a list that has no brackets."""
+    words = cell.split() if cell.count(" ") >= FEWEST_LISTED - 1 else ()
+    return JOIN.join(words) if len(words) >= FEWEST_LISTED and numbers(words) is not None else cell
 
 
 def _joined(found: re.Match[str]) -> str:
     """The numbers of a list as one cell; the unit of a name, as in `x[m]`, behind it."""
-    words = found[1].replace(",", " ").split()
+    words = re.split(r"[\s,;|]+", found[1].strip(" \t,;|"))
     return f"_{words[0]}" if len(words) == 1 and numbers(words) is None else JOIN.join(words)
 
 
@@ -85,6 +95,8 @@ def number(word: str) -> float:
     if not word:
         return math.nan
     try:
+        if "_" in word:  # in Python, one may be within a number
+            raise ValueError
         return float(word)
     except ValueError:
         if word.strip().lower() in MISSING or word.strip().lower().startswith(NOT_FINITE):
@@ -105,9 +117,17 @@ def seconds(word: str, unit_s: float) -> float:
 
     Raises `ValueError`.
     """
+    compact = COMPACT_DATE.match(word.strip())
+    if compact is not None:
+        return _since_1970(f"{compact[1]}T{compact[2]}{compact[3]}")
     try:
         return unit_s * number(word)
     except ValueError:
         date = word.strip().replace("/", "-")
-        moment = datetime.fromisoformat(date if "-" in date else f"1970-01-01T{date}")
-        return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
+        return _since_1970(date if "-" in date else f"1970-01-01T{date}")
+
+
+def _since_1970(date: str) -> float:
+    """s of a date in a form of ISO 8601. Raises `ValueError`."""
+    moment = datetime.fromisoformat(date)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()

@@ -15,7 +15,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
-from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Sweep
+from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Recording, Sweep
 
 STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds", "datetime", "epoch"}
 STAMPS |= {"date time", "ros time", "unix time"}
@@ -27,9 +27,16 @@ WHOLE, NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}  
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS = LENGTHS | {"rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
 UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1.0) | dict.fromkeys(NANOSECONDS, 1e-9)
-LASER = ("angle min", "angle increment", "range min", "range max")  # columns of a table of ROS messages; rad and m
+LASER = (
+    "angle min",
+    "angle max",
+    "angle increment",
+    "range min",
+    "range max",
+)  # columns of a table of ROS messages; rad and m
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
+ANGLES = re.compile("angle|bearing|azimuth", re.IGNORECASE)  # beside readings, as many: their bearings
 LONGEST_NAME = 80  # more of a name says nothing, and takes long to search
 NUMBERED = re.compile(r"\d+(?:[ _]*(?:mm|cm|m))?\W*$")  # the end of a name of readings, perhaps with its unit
 IN_DEGREES = re.compile(r"\A\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*\Z")  # a bearing that names its unit
@@ -92,8 +99,8 @@ class Place:
         return t if self.nanoseconds is None else t + 1e-9 * number(words[self.nanoseconds])
 
     def pose(self, words: Sequence[str]) -> Array | None:
-        """(3,) m, m, rad of a row; None without odometry. Raises `ValueError`."""
-        if not self.position:
+        """(3,) m, m, rad of a row; None without odometry, or where its cells are empty. Raises `ValueError`."""
+        if not any(words[at].strip() for at in (*self.position, *self.heading)):
             return None
         x, y = (number(words[at]) * self.units[at] for at in self.position)
         turn = [number(words[at]) * self.units[at] for at in self.heading]
@@ -133,15 +140,31 @@ class Columns:
     scale: Array  # (B,) m per unit of the readings
     geometry: Geometry
 
-    def sweep(self, words: list[str], order: int) -> Sweep:
-        """That of a row. Raises `ValueError`."""
+    def take(self, words: list[str], order: int, recording: Recording) -> None:
+        """Take in the pose and the sweep of a row; one of them where the cells of the other are empty.
+
+        Raises `ValueError`.
+        """
+        if len(words) > len(self.names):
+            raise ValueError
         there = [words[at] for at in self.readings if at < len(words)]
-        if len(words) > len(self.names) or len(there) < LEAST_SHARE * len(self.readings):
+        t, pose = self.place.time(words), self.place.pose(words)
+        if any(word.strip() for word in there):
+            recording.add(Sweep(t, self._ranges(there), self.geometry, pose, order=float(order)))
+            recording.counts["rows that end early"] += len(words) < len(self.names)
+        elif pose is None:
+            raise ValueError
+        if pose is not None:
+            recording.odometry.add(t, pose, float(order))
+
+    def _ranges(self, there: list[str]) -> Array:
+        """(B,) m of the readings of a row, of which the last may be missing. Raises `ValueError`."""
+        if len(there) < LEAST_SHARE * len(self.readings):
             raise ValueError
         ranges = np.full(len(self.readings), math.nan)
         ranges[: len(there)] = np.fromiter(map(number, there), np.float64, len(there))
         ranges *= self.scale
-        return Sweep(self.place.time(words), ranges, self.geometry, self.place.pose(words), order=float(order))
+        return ranges
 
 
 def columns_of(names: list[str], sample: list[str], view_deg: float | None, notes: list[str]) -> Columns:
@@ -154,12 +177,24 @@ def columns_of(names: list[str], sample: list[str], view_deg: float | None, note
     _check_names(names, place)
     names = [IN_DEGREES.sub(r"\1", name) for name in names]
     readings, said = _readings(names, place.used), _said(names, words)
-    used = {*place.used, *readings, *(at for at, name in enumerate(names) if parsed(name).word in said)}
-    left = [name for at, name in enumerate(names) if at not in used and name]
-    notes += [f"columns that are not read: {', '.join(left)!r:.200}"] * bool(left)
-    of_beams = [names[at] for at in readings]
-    scale = np.array([LENGTHS.get(parsed(name).unit_name, 1.0) for name in of_beams])
+    bearings = _bearings(names, readings)
+    _note_left(names, {*place.used, *readings, *bearings}, said, notes)
+    scale = np.array([LENGTHS.get(parsed(names[at]).unit_name, 1.0) for at in readings])
+    of_beams = [words[at] for at in bearings if at < len(words)] or [names[at] for at in readings]
     return Columns(names, place, readings, scale, _geometry(of_beams, view_deg, said, notes))
+
+
+def _note_left(names: list[str], used: set[int], said: dict[str, float], notes: list[str]) -> None:
+    """Note the names of columns that are not read."""
+    left = [name for at, name in enumerate(names) if name and at not in used and parsed(name).word not in said]
+    if left:
+        notes.append(f"columns that are not read: {', '.join(left)!r:.200}")
+
+
+def _bearings(names: list[str], readings: list[int]) -> list[int]:
+    """The columns beside the readings that have their bearings; none where they are not as many."""
+    found = [at for at, name in enumerate(names) if ANGLES.search(_stem(name)) and at not in readings]
+    return found if len(found) == len(readings) else []
 
 
 def _check_names(names: list[str], place: Place) -> None:
@@ -186,7 +221,8 @@ def _said(names: list[str], words: list[str]) -> dict[str, float]:
 def _readings(names: list[str], others: set[int]) -> list[int]:
     """The columns of readings: what most names begin with, but for those of intensities. Raises `LogError`."""
     stems = Counter(stem for name in names if not NO_RANGES.search(stem := _stem(name)))
-    stem = next((stem for stem, _ in stems.most_common(1)), "")
+    most = [stem for stem, count in stems.most_common() if count >= FEWEST_BEAMS]
+    stem = next((stem for stem in most if not ANGLES.search(stem)), next(iter(most), ""))
     readings = [at for at, name in enumerate(names) if _stem(name) == stem and at not in others]
     if not FEWEST_BEAMS <= len(readings) <= MOST_BEAMS:
         raise LogError(f"first row has {len(readings)} readings, {FEWEST_BEAMS} to {MOST_BEAMS} needed; {EXPECTED}")
@@ -201,9 +237,10 @@ def _stem(name: str) -> str:
 
 def _geometry(names: list[str], view_deg: float | None, said: dict[str, float], notes: list[str]) -> Geometry:
     """What columns have `said`; else that of bearings, or of beams spread over the field of view."""
-    if {"angle min", "angle increment"} <= said.keys():
-        limits = said.get("range min", 0.0), said.get("range max", math.inf)
-        return Geometry(len(names), said["angle min"], said["angle increment"], *limits)
+    first, last = said.get("angle min", math.nan), said.get("angle max", math.nan)
+    step = said.get("angle increment") or (last - first) / max(len(names) - 1, 1)
+    if math.isfinite(first) and math.isfinite(step):
+        return Geometry(len(names), first, step, said.get("range min", 0.0), said.get("range max", math.inf))
     bearings = numbers(names)
     if bearings is not None and np.isfinite(bearings).all() and np.ptp(bearings) <= TURN_DEG:
         in_radians = bool(np.ptp(bearings) <= TURN_RAD)  # too narrow for degrees

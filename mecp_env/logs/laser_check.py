@@ -21,6 +21,9 @@ MOVES, AGREE = 8, 0.8  # steps straight on, whose directions must agree so well
 LEAST_YAW_RAD = math.radians(15.0)
 LEAST_FARTHER, MOST_FARTHER = 0.5, 2.0  # by the scans than by the odometry: beyond, units differ,
 MOST_SCALE = 10.0  # which the option can mend so far
+MOST_WIDER, VIEWS_DEG = 1.25, (90.0, 100.0, 120.0, 180.0, 190.0, 240.0, 270.0, 360.0)  # a laser sees by its turns
+# than assumed, at most, and what lasers usually see
+NEAR_VIEW = 0.1  # of it: a usual field of view is meant
 STEADY_SHARE = 0.8  # of the steps are as much farther as most: no failures of registration
 
 
@@ -36,6 +39,9 @@ def laser_fault(log: Log, distance_scale: float = 1.0) -> str | None:
     path = composed(registered_path(log, rows.tolist()), log.T_robot_laser) if len(rows) > 1 else np.zeros((1, 3))
     scans = between(path[:-1], path[1:])  # of the laser, in its frame
     mirrored = _are_opposite(odometry[:, 2], scans[:, 2])
+    wider = _wider(odometry[:, 2], scans[:, 2]) if log.view_assumed else 1.0
+    if not 1.0 / MOST_WIDER < wider < MOST_WIDER:
+        return _other_view(log.field_of_view_deg, wider)
     turn = _turn(odometry, scans, -log.T_robot_laser[2], mirrored)
     farther = abs(turn)
     if not LEAST_FARTHER < farther < MOST_FARTHER:
@@ -53,6 +59,32 @@ def laser_fault(log: Log, distance_scale: float = 1.0) -> str | None:
     faults = ["mirrored (turns by scans and by odometry are opposite)"] * mirrored
     faults += [f"turned by {degrees} deg on the robot"] * turned
     return f"the laser seems to be {' and '.join(faults)}: try {' '.join(options)}"
+
+
+def _wider(odometry: Array, scans: Array) -> float:
+    """How many times as wide as assumed the field of view is, by turns (n,) rad by the odometry and by scans.
+
+    Scans of one that sees twice as much turn by half. The larger a turn, the more it counts. 1 where too few agree.
+    """
+    turns = (abs(odometry) > LEAST_TURN_RAD) & (abs(odometry) < MOST_TURN_RAD)
+    if turns.sum() < TURNS // 2:
+        return 1.0
+    ratios, weights = scans[turns] / odometry[turns], abs(odometry[turns])
+    order = np.argsort(ratios)
+    middle = float(ratios[order][np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())])
+    steady = abs(ratios - middle) < (MOST_WIDER - 1.0) * abs(middle)
+    return 1.0 / middle if middle > 0.0 and weights[steady].sum() > 0.5 * weights.sum() else 1.0
+
+
+def _other_view(view_deg: float, wider: float) -> str:
+    """That the field of view is another than assumed, and which."""
+    found = min(view_deg * wider, 360.0)
+    usual = min(VIEWS_DEG, key=lambda view: abs(math.log(view / found)))
+    found = usual if abs(usual - found) < NEAR_VIEW * found else found
+    return (
+        f"the robot turns {wider:.2g} times as far by its odometry as by its scans: the log does not say the field of "
+        f"view, and {view_deg:.0f} deg are taken: try --field-of-view-deg {found:.0f}"
+    )
 
 
 def _whole_degrees(angle: float) -> int:

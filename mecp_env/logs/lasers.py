@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import between, interpolated
 from mecp_env.logs.clock import ascending_rows
 from mecp_env.logs.readings import Geometry, Readings, Sweep, Track
@@ -42,6 +42,30 @@ def _gaps(ranges: Array, step_rad: float, near_m: float) -> tuple[int, int, int]
     width = np.sqrt(np.maximum(first**2 + last**2 - 2.0 * first * last * np.cos(angle), 0.0))
     near = np.maximum(first, last) < near_m
     return int(empty[near].sum()), int(empty[near & (width < NARROW_M)].sum()), len(hits)
+
+
+SWALLOWED, MOST_SWALLOWED = 0.02, 0.5  # shares of the beams: fewer lost ones are chance, more are not looked for
+ON_WALL_M, ON_WALL_STEPS = 0.05, 3.0  # two hits nearer than this, or than so many times their spacing: one wall
+
+
+def swallowed_of(ranges: Array, step_rad: float) -> float:
+    """The share of the beams (n,B) m that walls swallow (nan); 0 where that is little.
+
+    Where each beam is lost with a probability p, two hits on a wall are p times as often beside one lost beam as beside
+    each other.
+    """
+    some = ranges[:: max(1, len(ranges) // SWEEPS)]
+    beside = _on_one_wall(some[:, :-1], some[:, 1:], step_rad)
+    lost_between = _on_one_wall(some[:, :-2], some[:, 2:], 2.0 * step_rad) & np.isnan(some[:, 1:-1])
+    share = float(lost_between.sum()) / max(int(beside.sum()), 1)
+    return min(share, MOST_SWALLOWED) if share > SWALLOWED else 0.0
+
+
+def _on_one_wall(a: Array, b: Array, angle: float) -> Bools:
+    """True for ranges m, so many rad apart, whose points are near each other; not for nan."""
+    apart = np.sqrt(np.maximum(a * a + b * b - 2.0 * math.cos(angle) * a * b, 0.0))
+    near: Bools = apart < np.maximum(ON_WALL_M, ON_WALL_STEPS * angle * np.minimum(a, b))
+    return near
 
 
 JOINED_M, JOINED_STEPS = 0.1, 6.0  # neighbouring hits nearer than this, or than so many times their spacing, are one

@@ -20,7 +20,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.core.sensors import Scan
-from mecp_env.logs.lasers import no_return_of
+from mecp_env.logs.lasers import no_return_of, swallowed_of
 from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep, Track
 
 
@@ -49,6 +49,8 @@ class Log(Sequence[LogRecord]):
     relations: Array = field(default_factory=lambda: np.empty((0, 5)))
     """(k,5) s, s, m, m, rad: two stamps, and the true pose at the second in the frame of the first."""
     counts: Mapping[str, int] = field(default_factory=dict)  # what was skipped or repaired -> how often
+    merged: bool = False  # of several lasers: beams that none of them covers have no return, and tell nothing
+    view_assumed: bool = False  # neither the file nor an option says the field of view
     notes: tuple[str, ...] = ()  # what a user should know of how the file was read
     found: int = 0  # scans in the file, of which this log has those that can be used; 0: not known
 
@@ -96,8 +98,9 @@ class Log(Sequence[LogRecord]):
         """Geometry of the laser and meaning of its beams without a return: fields of the estimator's sensor model."""
         x, y, heading = self.T_robot_laser.tolist()
         mount = {"x_m": x, "y_m": y, "heading_deg": math.degrees(heading)}
-        meaning = no_return_of(self.ranges, self.step_rad, self.max_range_m)
-        return {"field_of_view_deg": self.field_of_view_deg, "no_return": meaning, **mount}
+        meaning = "unknown" if self.merged else no_return_of(self.ranges, self.step_rad, self.max_range_m)
+        lost = {"no_return": meaning, "dark_dropout": swallowed_of(self.ranges, self.step_rad)}
+        return {"field_of_view_deg": self.field_of_view_deg, **lost, **mount}
 
 
 MOST_BYTES = 2**31  # of the file, and unpacked

@@ -35,6 +35,7 @@ FOREIGN = {  # how files begin that are no logs as they are
     b"pk\x03\x04": "packed by zip: unpack it first, or save a spreadsheet as .csv",
     b"header:": ECHOED,
     b"---": ECHOED,
+    b"[{": "JSON: write a table or an .npz (docs/logs.md)",
     b"{": "JSON: write a table or an .npz (docs/logs.md)",
     b"\xfd7zxz": "packed by xz: unpack it first",
     b"bzh": "packed by bzip2: unpack it first",

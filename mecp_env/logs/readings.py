@@ -125,6 +125,7 @@ class Recording:
     reference: Track = field(default_factory=Track)
     relations: Array = field(default_factory=lambda: np.empty((0, 5)))
     T_robot_laser: Array | None = None  # (3,), None: the file does not say
+    view_assumed: bool = False  # the file does not say the field of view, and no option does
     mounts: list[Array] = field(default_factory=list)  # (3,) of each of several lasers, which are one scanner
     counts: Counter[str] = field(default_factory=Counter)
     notes: list[str] = field(default_factory=list)  # what a user should know of how the file was read

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,12 +16,13 @@ from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.logs.beam_rows import BeamColumns, read_beam_rows
 from mecp_env.logs.carmen import MAGIC, MOST_BYTES, PACKED, unpacked
-from mecp_env.logs.cells import Row, flat, numbers, rows_of
+from mecp_env.logs.cells import JOIN, Row, flat, numbers, rows_of
+from mecp_env.logs.clock import DAY_S
 from mecp_env.logs.columns import Place, columns_of
 from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
 
 TABLES = (".csv", ".tsv", ".txt", ".dat")
-HEAD = 10  # rows that may tell the names and where lists are
+HEAD, SAMPLED = 10, 200  # rows that may tell the names, and where lists are
 START = 2**12  # bytes of a table before which it says what it is of
 RPLIDAR = re.compile(rb"rplidar|slamtec|angule|theta:\s*[\d.]+\s+dist:", re.IGNORECASE)  # as its tools write it
 CELLS = "expected are numbers, and dates as 2024-03-01T12:00:00"
@@ -54,16 +56,38 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
         read_beam_rows(behind, of_beams, recording)
         _turn_over(data, recording)
         return
-    sample = next((row.cells for row in head if row.number > header.number and len(row.cells) == len(names)), [])
-    columns = columns_of(names, sample, view_deg, recording.notes)
+    columns = columns_of(names, _sample(data, header), view_deg, recording.notes)
     for number, cells, _ in behind:
         words = flat(cells)
         try:
-            recording.add(columns.sweep(words, number))
+            columns.take(words, number, recording)
         except (ValueError, IndexError):
             recording.damaged("row", number, words)
-        else:
-            recording.counts["rows that end early"] += len(words) < len(columns.names)
+    _count_days(recording)
+
+
+def _sample(data: bytes, header: Row) -> list[str]:
+    """The cells of the row with the longest lists among the first ones behind the names; none where none fits these."""
+    rows = (row.cells for row in islice(rows_of(data), SAMPLED) if row.number > header.number)
+    fitting = (cells for cells in rows if len(cells) == len(header.cells))
+    return max(fitting, key=lambda cells: sum(cell.count(JOIN) for cell in cells), default=[])
+
+
+def _count_days(recording: Recording) -> None:
+    """Go on where stamps that are times of the day begin again at midnight."""
+    for stamps in ([sweep.t for sweep in recording.sweeps], recording.odometry.t):
+        if not all(0.0 <= t <= DAY_S for t in stamps):
+            return
+    recording.odometry.t = _over_midnight(recording.odometry.t)
+    stamps = _over_midnight([sweep.t for sweep in recording.sweeps])
+    recording.sweeps = [replace(sweep, t=t) for sweep, t in zip(recording.sweeps, stamps, strict=True)]
+
+
+def _over_midnight(stamps: list[float]) -> list[float]:
+    """s: a day later behind each stamp that is more than half a day earlier than the one before."""
+    days = np.cumsum(np.diff(stamps, prepend=stamps[:1]) < -0.5 * DAY_S)
+    later: list[float] = (np.array(stamps) + DAY_S * days).tolist()
+    return later
 
 
 def _check_lists(head: list[Row]) -> None:

@@ -70,6 +70,16 @@ def test_known_errors_are_found(noise: float) -> None:
     assert found.range_noise_m == pytest.approx(0.02, rel=0.1)
 
 
+def test_a_laser_that_looks_backwards_is_calibrated(log: Log, found: Calibration) -> None:
+    """Its heading is half a turn, on whichever side of it the estimate is."""
+    backwards = np.array([0.0, 0.0, math.pi])
+    path = composed(log.T_odom_robot, np.broadcast_to(backwards, log.T_odom_robot.shape))
+    turned = calibration_of(replace(log, T_odom_robot=path, T_robot_laser=backwards))
+    assert turned.estimates["distance_scale"].source == "estimated"
+    assert abs(turned.estimates["heading_deg"].value) == pytest.approx(180.0, abs=1.0)
+    assert turned.odometry.turn_scale == pytest.approx(found.odometry.turn_scale, abs=0.01)
+
+
 def test_a_noisy_laser_is_noticed() -> None:
     found = calibration_of(simulated_log(odometry_of(1.0), range_sigma_m=0.06, scans=300))
     assert found.estimates["range_sigma_m"].source == "estimated"

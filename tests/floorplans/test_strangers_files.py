@@ -199,6 +199,15 @@ def test_pixels_that_are_more_opaque_than_not_count(tmp_path: Path) -> None:
                 load_plan(path, resolution_m=plans.RESOLUTION_M, free_above=210)
 
 
+def test_a_floor_of_one_colour_on_a_transparent_ground(tmp_path: Path) -> None:
+    floor = np.where(plans.two_rooms_picture() > 210, 255, 0).astype(np.uint8)
+    path = plans.save(np.dstack([np.full_like(floor, 255), floor]), tmp_path / "a.png")
+    assert len(load_plan(path, resolution_m=plans.RESOLUTION_M).rooms) == 2
+    path = plans.save(np.dstack([np.zeros_like(floor), 255 - floor]), tmp_path / "a.png")
+    with pytest.raises(LayoutError, match="save it on a white one"):
+        load_plan(path, resolution_m=plans.RESOLUTION_M)
+
+
 @pytest.mark.parametrize(("old", "new"), [(": ", ":\t"), ("\n", "\r\n"), ("- ", "\t- ")])
 def test_tabs_and_line_ends_in_a_yaml(old: str, new: str, tmp_path: Path) -> None:
     path = pair(tmp_path)

@@ -116,6 +116,7 @@ def test_several_lasers_are_one_scanner(tmp_path: Path, topics: tuple[str, str],
     path = two_lasers(tmp_path / "a.bag", topics, late=late)
     log = read_log(path, ReadOptions(scan_topic=topics if topics[0] != topics[1] else None))
     assert len(log) == len(drive()[0])
+    assert log.sensor()["no_return"] == "unknown"  # a beam that no laser covers tells nothing
     check_room(log)
 
 

@@ -6,13 +6,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between
+from mecp_env.evaluation.log_run import config_for
 from mecp_env.evaluation.trajectory import trajectory_error
 from mecp_env.logs import Log, ReadOptions, read_log
 from mecp_env.logs.laser_check import laser_fault
 from mecp_env.logs.lasers import no_return_of
 from mecp_env.logs.registration import registered, registered_path
-from tests.logs.files import write_archive
+from tests.logs.files import drive, lines_of, read_lines, write_archive
 from tests.logs.simulated import write_simulated
 
 
@@ -61,6 +63,15 @@ def test_a_weak_laser_is_learnt_from_beams_between_hits(tmp_path: Path) -> None:
     assert read_log(write_archive(tmp_path / "b.npz")).sensor()["no_return"] == "free"
 
 
+@pytest.mark.parametrize("lost", [0.0, 0.05, 0.3])
+def test_the_share_of_beams_that_walls_swallow_is_learnt(path: Path, lost: float) -> None:
+    """By it the estimator knows which gaps in walls are none."""
+    log = read_log(path)
+    swallowed = np.random.default_rng(0).random(log.ranges.shape) < lost
+    found = replace(log, ranges=np.where(swallowed, np.nan, log.ranges)).sensor()["dark_dropout"]
+    assert found == pytest.approx(lost, abs=0.01)
+
+
 @pytest.mark.parametrize(
     ("wrong", "said"),
     [
@@ -81,6 +92,23 @@ def test_units_that_differ_between_scans_and_odometry(path: Path) -> None:
     assert laser_fault(feet, distance_scale=1.0 / 0.3048) is None
     ticks = replace(log, T_odom_robot=log.T_odom_robot * (0.05, 0.05, 1.0))
     assert "--noise" not in str(laser_fault(ticks))
+
+
+def test_a_field_of_view_that_the_log_does_not_say(path: Path, tmp_path: Path) -> None:
+    """A laser that sees all around, read as one of half a turn: scans turn by half of what the odometry does."""
+    log = read_log(path)
+    narrow = replace(log, bearings=0.5 * log.bearings)
+    assert "--field-of-view-deg 360" in str(laser_fault(replace(narrow, view_assumed=True)))
+    assert "--field-of-view-deg" not in str(laser_fault(narrow))
+    t, poses, ranges = drive()
+    assert read_lines(tmp_path, lines_of(t, poses, ranges)).view_assumed
+
+
+def test_beams_that_are_too_far_apart_for_corners(tmp_path: Path) -> None:
+    archive = {"t": np.arange(9.0), "ranges": np.full((9, 16), 2.0), "angles": 2.0 * np.pi / 16 * np.arange(16)}
+    np.savez(tmp_path / "a.npz", **archive)
+    with pytest.raises(LogError, match=r"16 beams 22.5 deg apart.* at most 17"):
+        config_for(read_log(tmp_path / "a.npz"))
 
 
 def test_a_sound_laser_has_no_fault_and_its_scans_give_odometry(path: Path) -> None:

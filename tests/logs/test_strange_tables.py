@@ -158,6 +158,51 @@ def test_long_names_cost_little_time(tmp_path: Path, line: str) -> None:
     assert time.process_time() - start < 10.0
 
 
+@pytest.mark.parametrize("form", ["%Y%m%d_%H%M%S.%f", "%Y%m%dT%H%M%S.%fZ", "%Y%m%d-%H%M%S.%f"])
+def test_dates_without_marks_within(tmp_path: Path, form: str) -> None:
+    """In Python, `20240301_120000` is a number."""
+    cells = [[date(1.7e9 + t, form), *(f"{a:.6f}" for a in pose)] for t, pose in zip(T, POSES, strict=True)]
+    check(read(tmp_path, table("t,x,y,yaw", cells)), 1.7e9 + T[0])
+
+
+def test_times_of_the_day_over_midnight(tmp_path: Path) -> None:
+    start = 86400.0 - T[5]
+    cells = [[date(start + t, "%H:%M:%S.%f"), *(f"{a:.6f}" for a in p)] for t, p in zip(T, POSES, strict=True)]
+    check(read(tmp_path, table("time,x,y,yaw", cells)), start + T[0])
+
+
+def test_rows_of_messages_that_have_either_a_pose_or_readings(tmp_path: Path) -> None:
+    """As PlotJuggler and outer joins write them; the odometry has other stamps, and more of them."""
+    often = np.arange(T[0], T[-1] + 0.01, 0.05)
+    path = np.column_stack([np.interp(often, T, column) for column in POSES.T])
+    poses = [(t, ",".join(f"{a:.6f}" for a in pose) + "," * len(BEARINGS)) for t, pose in zip(often, path, strict=True)]
+    scans = [(t + 1e-4, ",,," + ",".join(f"{r:.6f}" for r in one)) for t, one in zip(T[:-1], RANGES, strict=False)]
+    rows = [f"{t:.4f},{cells}" for t, cells in sorted(poses + scans)]
+    log = read(tmp_path, "\n".join([f"t,x,y,heading,{NAMES}", *rows]))
+    np.testing.assert_allclose(log.T_odom_robot, POSES[:-1], atol=1e-4)
+    np.testing.assert_allclose(log.ranges, RANGES[:-1], atol=1e-5)
+    assert not log.counts
+
+
+def of_lists(head: str, said: str, form: str, mark: str) -> str:
+    """Rows of stamp and pose, what is said of the laser, and a list of readings."""
+    lists = [form.format(mark.join(f"{r:.6f}" for r in one)) for one in RANGES]
+    poses = [",".join(f"{a:.6f}" for a in (t, *pose)) for t, pose in zip(T, POSES, strict=True)]
+    return "\n".join([f"t,x,y,yaw,{head}", *(f"{a},{said},{b}" for a, b in zip(poses, lists, strict=True))])
+
+
+@pytest.mark.parametrize("form", ["[{}]", "{{{}}}", "array('f', [{}])"])
+@pytest.mark.parametrize("mark", [",", ";", " "])
+def test_lists_of_readings(tmp_path: Path, form: str, mark: str) -> None:
+    said = f"{BEARINGS[0]:.6f},{BEARINGS[-1]:.6f}"
+    check(read(tmp_path, of_lists("angle_min,angle_max,ranges", said, form, mark)))
+
+
+def test_lists_of_readings_without_brackets_and_of_their_bearings(tmp_path: Path) -> None:
+    bearings = " ".join(f"{a:.6f}" for a in BEARINGS)
+    check(read(tmp_path, of_lists("angles,ranges", bearings, "{}", " ")))
+
+
 def test_a_date_that_is_not_understood_comes_with_what_is(tmp_path: Path) -> None:
     cells = [["01.03.2024 12:00:00", *map(str, pose)] for pose in POSES]
     with pytest.raises(LogError, match=r"row 2 is the first that is damaged: 01\.03\.2024 .*dates as 2024-03-01"):
@@ -256,6 +301,7 @@ def test_beams_of_any_number_and_spacing_around(tmp_path: Path) -> None:
         ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2. ... 3. 4.]"\n', "as NumPy prints it"),
         ("a.csv", b't,x,y,yaw,ranges\n0,0,0,0,"[1. 2.\n 3. 4.]"\n', "as NumPy prints it"),
         ("a.txt", b'{"t": 0.0, "ranges": [1.0, 2.0]}\n', "JSON: write"),
+        ("a.txt", b'[{"t": 0.0, "ranges": [1.0, 2.0]}]\n', "JSON: write"),
         ("a.yaml", b"header:\n  seq: 1\n---\n", "record a bag"),
         ("a.bag", bytes(100), "begins as none does"),
         ("a.xlsx", b"PK\x03\x04", "spreadsheet as .csv"),
