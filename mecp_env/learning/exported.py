@@ -26,7 +26,7 @@ from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
 from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.policies.registry import statistics_of
+from mecp_env.policies.registry import find_modules_here, statistics_of
 
 MOST_BYTES, MOST_UNPACKED = 500_000_000, 1_000_000_000  # of a model file, and of the parts of a zip
 ALGORITHMS = {  # the first module or setting of these that a zip names -> "module:class" of the algorithm
@@ -143,6 +143,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
             "source, use --trust (load(path, trust=True))"
         )
     module, name = class_of(path).split(":")
+    find_modules_here()  # of the user: the class of a policy, or of its features
     try:
         algorithm = getattr(importlib.import_module(module), name).load(path, device="cpu")
         check_finite(algorithm.policy)

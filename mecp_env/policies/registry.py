@@ -229,9 +229,8 @@ def training_hours(name: str) -> float | None:
 
 def import_policy(module: str, class_name: str) -> Policy:
     """An instance of a class; modules in the working directory are found, too. Raises `ConfigError`."""
-    here, name = str(Path.cwd()), f"{module}:{class_name}"
-    if here not in sys.path:
-        sys.path.append(here)
+    name = f"{module}:{class_name}"
+    find_modules_here()
     with calls_of(name, "cannot be constructed", (ImportError, AttributeError, TypeError)):
         policy: Policy = getattr(importlib.import_module(module), class_name)()
         missing = [part for part in INTERFACE if not hasattr(policy, part)]
@@ -241,6 +240,13 @@ def import_policy(module: str, class_name: str) -> Policy:
             "'velocity'), reset(seed) and act(observation, mask)"
         )
     return policy
+
+
+def find_modules_here() -> None:
+    """Let `import` find modules in the working directory, which the installed command does not."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
 
 
 def load_learned(name: str, trust: bool = False) -> Policy:
