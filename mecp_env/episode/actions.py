@@ -13,19 +13,26 @@ from mecp_env.core.errors import ActionError
 DISCRETE = ("stop", "forward", "back", "left", "right")
 COMMANDS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.5], [0.0, -0.5]])  # (5,2) normalised
 NUMBERS = (int, float, np.integer, np.floating)
+ROUNDING = 1e-5  # what a wrapper that rescales actions in float32 may add to a bound
 
 
 def check_velocity(action: Any) -> tuple[float, float]:
     """The normalised command, two numbers in [-1, 1] that `action` holds.
 
-    Accepts an array (2,) of floats or integers, or a list or tuple of two numbers. Raises `ActionError` that names
-    the value and the bound for anything else: nan, infinity, another shape or type, a value out of range.
+    Accepts an array (2,) of floats or integers, or a list or tuple of two numbers. A value that rounding moved out of
+    range counts as the bound. Raises `ActionError` that names the value and the bound for anything else: nan, infinity,
+    another shape or type, a value out of range.
     """
-    pair = velocity_pair(action)
-    for name, value in zip(("forward", "turn"), pair, strict=True):
-        if not -1.0 <= value <= 1.0:  # also false for nan
+    forward, turn = velocity_pair(action)
+    for name, value in (("forward", forward), ("turn", turn)):
+        if not abs(value) <= 1.0 + ROUNDING:  # also false for nan
             raise ActionError(f"action[{name}]: {value!r} does not lie in [-1, 1]")
-    return pair
+    return within_bounds(forward), within_bounds(turn)
+
+
+def within_bounds(value: float) -> float:
+    """`value`, cut to [-1, 1]."""
+    return max(-1.0, min(1.0, value))
 
 
 def velocity_pair(action: Any) -> tuple[float, float]:
@@ -99,5 +106,4 @@ def make_actions(kind: str) -> VelocityActions | DiscreteActions:
 
 def normalised_command(v: float, w: float, limits: tuple[float, float]) -> NDArray[np.float32]:
     """The velocity action (2,) for a command of v m/s and w rad/s under `limits` (m/s, rad/s), cut to [-1, 1]."""
-    command = (max(-1.0, min(1.0, v / limits[0])), max(-1.0, min(1.0, w / limits[1])))
-    return np.array(command, np.float32)
+    return np.array((within_bounds(v / limits[0]), within_bounds(w / limits[1])), np.float32)

@@ -13,7 +13,8 @@ import numpy as np
 
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.files import is_folder
-from mecp_env.core.settings import Names, shown
+from mecp_env.core.processes import Failure
+from mecp_env.core.settings import Names, guess, shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
 from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed, unknown_split
 from mecp_env.world.generator import generate
@@ -125,6 +126,8 @@ class CustomSource:
             return load_layout(self.made.layout(building))
         except LayoutError as error:
             raise LayoutError(f"{self.name}: building {building}: {error}") from None
+        except Exception as error:  # code of the user may raise anything
+            raise LayoutError(f"{self.name}: building {building}: {Failure.of(error).reason}") from error
 
 
 def register_buildings(name: str, make: Callable[..., Any]) -> None:
@@ -144,8 +147,9 @@ def register_buildings(name: str, make: Callable[..., Any]) -> None:
 def _custom(name: str, make: Callable[..., Any], **fields: Any) -> CustomSource:
     try:
         made = CustomSource(name, make(**fields))
-    except TypeError as error:
-        raise ConfigError(f"layout: {name}: {error}") from error
+    except Exception as error:  # code of the user may raise anything
+        reason = error if isinstance(error, TypeError) else Failure.of(error).reason
+        raise ConfigError(f"layout: {name}: {reason}") from error
     count = getattr(made.made, "count", None)
     if isinstance(count, bool) or not isinstance(count, int) or count < 1 or not hasattr(made.made, "layout"):
         raise ConfigError(f"layout: {name}: expected a method `layout` and a `count` of 1 or more, got {shown(count)}")
@@ -162,7 +166,21 @@ def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     key = next((key for key in SOURCES if isinstance(given, Mapping) and key in given), None)
     if key is not None:
         return _made(key, given)
+    check_registered(given)
     return OneLayout(load_layout(dict(given) if isinstance(given, Mapping) else given))
+
+
+def check_registered(given: Any) -> None:
+    """Raise `ConfigError` for `{name: {...}}` of a source that is not registered; a layout has other fields."""
+    if not isinstance(given, Mapping) or len(given) != 1:
+        return
+    (name,) = given
+    if isinstance(given[name], Mapping) and name not in Layout.model_fields:
+        known = ", ".join(NAMES.others) or "none yet"
+        raise ConfigError(
+            f"layout: {shown(name)}: not registered by register_buildings (registered: {known})"
+            f"{guess(str(name), NAMES.others)}; import the module that registers it"
+        )
 
 
 def _made(key: str, given: Any) -> Source:

@@ -1,7 +1,8 @@
 """Whether a custom filter or associator does what the estimator asks of it, on constructed data.
 
-A check raises the error of the part (`FilterError`, `MatchError`) with the method that is wrong. It says nothing of how
-good a part is; for that, the benchmarks `association` and `filters` compare it on recorded drives.
+A check raises the error of the part (`FilterError`, `MatchError`) with the method that is wrong, and `ConfigError` for
+methods that are missing. It says nothing of how good a part is; for that, the benchmarks `association` and `filters`
+compare it on recorded drives.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from mecp_env.core.se2 import compose, to_robot
 from mecp_env.core.sensors import Odometry, Scan
 from mecp_env.slam.checks import MatchError, check_match
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
-from mecp_env.slam.custom import check_belief, check_custom_match
+from mecp_env.slam.custom import check_belief, check_custom_match, check_part
 from mecp_env.slam.messages import Belief, Corners, MapView, Match, Polygon
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter, FilterError
@@ -43,6 +44,7 @@ def check_filter(make: Callable[[FilterConfig], Filter]) -> None:
     as it was.
     """
     estimate, rng = make(FilterConfig()), np.random.default_rng(0)
+    check_part(estimate, "filter", Filter)
     ids = np.arange(10, 10 + len(POINTS))
     estimate.augment(*seen(np.zeros(3), rng), ids)
     _require(np.array_equal(estimate.ids, ids), "augment: the ids are not in the order of their initialisation")
@@ -176,7 +178,9 @@ def check_associator(make: Callable[[AssociationConfig], Associator]) -> int:
     differently.
     """
     config = SlamConfig()
-    watched = Watched(make(config.association))
+    made = make(config.association)
+    check_part(made, "associator", Associator)
+    watched = Watched(made)
     pipeline, scans = SlamPipeline(config, associator=watched), room_scans()
     motion = Odometry(np.array([[STEP_M, 0.0]]), np.diag([0.003, 0.003])[None] ** 2, bumper=False)
     output = pipeline.start(next(scans))

@@ -26,7 +26,7 @@ from mecp_env.core.settings import Settings
 from mecp_env.learning.config import WeightError, read_config
 from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, choices_of, fit, with_known_ground
 from mecp_env.planning.config import PlanningConfig
-from mecp_env.policies.registry import statistics_of
+from mecp_env.policies.registry import find_modules_here, statistics_of
 
 MOST_BYTES, MOST_UNPACKED = 500_000_000, 1_000_000_000  # of a model file, and of the parts of a zip
 ALGORITHMS = {  # the first module or setting of these that a zip names -> "module:class" of the algorithm
@@ -141,6 +141,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
             "source, use --trust (load(path, trust=True))"
         )
     module, name = class_of(path).split(":")
+    find_modules_here()  # of the user: the class of a policy, or of its features
     try:
         algorithm = getattr(importlib.import_module(module), name).load(path, device="cpu")
         check_finite(algorithm.policy)
@@ -191,8 +192,16 @@ def class_of(path: Path) -> str:
 
 
 def statistics_for(algorithm: Any, path: Path) -> Path | None:
-    """The statistics of `VecNormalize` beside a model. Raises `ConfigError` where it was trained with some, without."""
+    """The statistics of `VecNormalize` beside a model.
+
+    Raises `ConfigError` where it was trained with some and has none, or the other way round.
+    """
     found = statistics_of(path)
+    if found is not None and was_raw(algorithm):
+        raise ConfigError(
+            f"policy: {path} was trained without VecNormalize, and beside it are statistics: {found.name}; name those "
+            "of another model MODEL_vecnormalize.pkl, or move them"
+        )
     if found is None and was_normalised(algorithm):
         raise ConfigError(
             f"policy: {path} was trained on observations that VecNormalize made, and its statistics are not beside it "
@@ -212,6 +221,14 @@ def was_normalised(algorithm: Any) -> bool:
     rows = zip(*last.values(), strict=True) if isinstance(last, dict) else last
     seen = (dict(zip(last, row, strict=True)) if isinstance(last, dict) else row for row in rows)
     return not all(algorithm.observation_space.contains(row) for row in seen)
+
+
+def was_raw(algorithm: Any) -> bool:
+    """True for a model that was certainly trained without `VecNormalize`.
+
+    The observation before it is then missing beside the last one. Off-policy algorithms always have it.
+    """
+    return getattr(algorithm, "_last_obs", None) is not None and algorithm._last_original_obs is None
 
 
 def normalisation(place: Path) -> Callable[[Any], Any]:

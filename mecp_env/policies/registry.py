@@ -155,18 +155,32 @@ def source_of(name: str) -> str:
 def policy_checksum(name: str) -> str:
     """Of the files that hold the class, the weights or the model of a policy; "" for those of the package.
 
-    A class names others that it reads in its attribute `files`.
+    A class names others that it reads in its attribute `files`. Raises `ConfigError` for one that is no file.
     """
     found, path = CLASS_PATH.fullmatch(source_of(name)), Path(name)
     paths: list[Path | None] = [path / "policy.json"]  # which contains the checksum of the weights
     if found:
         module = importlib.import_module(found[1])
-        paths = [Path(str(module.__file__)), *map(Path, as_many(getattr(getattr(module, found[2]), "files", ())))]
+        paths = [Path(str(module.__file__)), *files_of(getattr(module, found[2]), name)]
     elif path.is_file():
         exported = path.suffix in (".pt", ".pth", ".onnx")
         paths = [path, path.with_suffix(".json"), None if exported else statistics_of(path)]
     data = [path.read_bytes() for path in paths if path is not None and path.is_file()]
     return checksum(b"".join(data)) if data else ""
+
+
+def files_of(policy: Any, name: str) -> list[Path]:
+    """The files that a class names in `files`. Raises `ConfigError` for what is none.
+
+    A wrong path must not pass: with new weights, the episodes of the old ones would be kept.
+    """
+    given = as_many(getattr(policy, "files", ()))
+    if not isinstance(given, list | tuple) or not all(isinstance(path, str | os.PathLike) for path in given):
+        raise ConfigError(f"policy: {name!r:.80}: files {shown(given)}, expected a tuple of paths")
+    paths = [Path(path) for path in given]
+    if missing := [str(path) for path in paths if not path.is_file()]:
+        raise ConfigError(f"policy: {name!r:.80}: files: {', '.join(missing)}: no such file")
+    return paths
 
 
 def statistics_of(model: Path) -> Path | None:
@@ -215,9 +229,8 @@ def training_hours(name: str) -> float | None:
 
 def import_policy(module: str, class_name: str) -> Policy:
     """An instance of a class; modules in the working directory are found, too. Raises `ConfigError`."""
-    here, name = str(Path.cwd()), f"{module}:{class_name}"
-    if here not in sys.path:
-        sys.path.append(here)
+    name = f"{module}:{class_name}"
+    find_modules_here()
     with calls_of(name, "cannot be constructed", (ImportError, AttributeError, TypeError)):
         policy: Policy = getattr(importlib.import_module(module), class_name)()
         missing = [part for part in INTERFACE if not hasattr(policy, part)]
@@ -227,6 +240,13 @@ def import_policy(module: str, class_name: str) -> Policy:
             "'velocity'), reset(seed) and act(observation, mask)"
         )
     return policy
+
+
+def find_modules_here() -> None:
+    """Let `import` find modules in the working directory, which the installed command does not."""
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)
 
 
 def load_learned(name: str, trust: bool = False) -> Policy:

@@ -3,6 +3,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from gymnasium.wrappers import FrameStackObservation, RescaleAction
 
 from mecp_env.core.errors import ActionError, ConfigError
 from mecp_env.core.snapshot import StateError
@@ -200,7 +201,7 @@ NAN, INF = float("nan"), float("inf")
 GOOD_VELOCITIES = [np.array([0.5, -1.0], np.float32), np.array([1, -1]), [0.5, 1], (0.0, np.float32(1.0))]
 BAD_VELOCITIES = [None, "stop", 1.0, {0.1, 0.2}, [], [0.1, 0.2, 0.3], [[0.1, 0.2]], ["a", "b"], [None, 0.0]]
 BAD_VELOCITIES += [[True, False], [0.5, 1j], [Fraction(1, 2), 0.0], [10**400, 0], [-(10**400), 0], (NAN, 0.0)]
-BAD_VELOCITIES += [(0.0, INF), (0.0, -INF), (1.0000001, 0.0), np.array(0.5), np.zeros(3), np.zeros((1, 2))]
+BAD_VELOCITIES += [(0.0, INF), (0.0, -INF), (1.0001, 0.0), np.array(0.5), np.zeros(3), np.zeros((1, 2))]
 BAD_VELOCITIES += [np.zeros(2, complex), np.zeros(2, bool), np.array(["a", "b"]), np.array([0.1, 0.2], object)]
 BAD_VELOCITIES += [np.array([NAN, 0.0], np.float32), np.array([1e38, 0.0], np.float32), np.array([2, 0])]
 GOOD_CHOICES = [0, 4, np.int64(3), np.uint8(2), np.array(1)]
@@ -214,6 +215,23 @@ def test_good_actions_pass_unchanged():
     assert [check_choice(action, 5) for action in GOOD_CHOICES] == [int(action) for action in GOOD_CHOICES]
     assert normalised_command(0.75, -1.75, (0.75, 1.75)).tolist() == [1.0, -1.0]
     assert normalised_command(9.0, 0.0, (0.75, 1.75)).tolist() == [1.0, 0.0]
+
+
+def test_what_a_wrapper_rescales_is_cut_where_rounding_leaves_the_bounds():
+    low, high = np.float32(-9.2), np.float32(-8.9)
+    env = RescaleAction(make(actions="velocity"), low, high)
+    moved = [env.action(np.full(2, bound, np.float32)) for bound in (low, high)]
+    assert np.abs(moved).max() > 1.0
+    cut = np.array([check_velocity(action) for action in moved])
+    assert np.abs(cut).max() == 1.0
+    np.testing.assert_allclose(cut, [[-1.0, -1.0], [1.0, 1.0]], atol=1e-5)
+
+
+@pytest.mark.parametrize(("wrapper", "given"), [(FrameStackObservation, (2,)), (RescaleAction, np.float32([0.0, 2.0]))])
+def test_a_wrapper_below_that_changes_observations_or_commands_is_refused(wrapper, given):
+    """A drive would send it commands of another meaning, and its result would show the observation without it."""
+    with pytest.raises(ConfigError, match=r"changes the \w+_space; put that wrapper around GoalActions"):
+        GoalActions(wrapper(make(actions="velocity"), *given))
 
 
 def test_a_refusal_names_component_value_and_bound():

@@ -224,3 +224,33 @@ def test_so_many_plans_are_kept_and_no_more(tree: Path, monkeypatch: pytest.Monk
     for building in (0, 1, 2, 3, 0):
         plans.layout(building)
     assert set(plans.read) == {3, 0}
+
+
+class Faulty:
+    """Whose code fails, as a user's may."""
+
+    count = 2
+
+    def __init__(self, early: bool = False) -> None:
+        if early:
+            raise OSError("no data")
+
+    def layout(self, building: int) -> str:
+        if building == 1:
+            raise KeyError("door")
+        return "two_rooms"
+
+
+def test_an_error_in_the_code_of_a_source_names_the_source_the_building_and_the_line(registered: None) -> None:
+    register_buildings("faulty", Faulty)
+    env = gymnasium.make("mecp_env/Layout-v0", layout={"faulty": {}})
+    with pytest.raises(LayoutError, match=r"faulty: building 1: KeyError: 'door' \(layout, line \d+\)"):
+        env.reset(options={"building": 1})
+    with pytest.raises(ConfigError, match=r"layout: faulty: OSError: no data \(__init__, line \d+\)"):
+        make_source({"faulty": {"early": True}})
+
+
+def test_a_source_that_is_not_registered_is_named_and_not_taken_for_a_layout(registered: None) -> None:
+    register_buildings("faulty", Faulty)
+    with pytest.raises(ConfigError, match=r"'fault': not registered .* \(registered: faulty\); did you mean 'faulty'"):
+        make_source({"fault": {}})

@@ -5,6 +5,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from mecp_env.core.errors import ConfigError
 from mecp_env.evaluation.part_checks import check_associator, check_filter
 from mecp_env.slam import MatchError, SlamConfig
 from mecp_env.slam.association import ASSOCIATORS, make_associator
@@ -155,3 +156,16 @@ SAID = {
 def test_what_is_wrong_with_an_associator_is_named(spoil: Any, said: str) -> None:
     with pytest.raises(MatchError, match=said):
         check_associator(lambda config: Own(config, spoil))
+
+
+class Bare:
+    """A class that derives from nothing."""
+
+    def __init__(self, config: Any) -> None:
+        pass
+
+
+@pytest.mark.parametrize(("check", "kind"), [(check_filter, "Filter"), (check_associator, "Associator")])
+def test_what_a_part_lacks_is_named(check: Any, kind: str) -> None:
+    with pytest.raises(ConfigError, match=rf"Bare has no .*; derive from mecp_env\.slam\.protocols\.{kind}"):
+        check(Bare)

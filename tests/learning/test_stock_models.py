@@ -1,7 +1,9 @@
 """Models of Stable-Baselines3 of every observation format and action space are scored as they were trained."""
 
+import importlib
 import json
 import re
+import sys
 import zipfile
 from itertools import product
 from pathlib import Path
@@ -122,6 +124,22 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
         load(model, trust=True)
 
 
+def test_a_class_in_a_module_of_the_working_directory_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Stable-Baselines3 saves where a class of the user is, not the class."""
+    (tmp_path / "my_network.py").write_text(
+        "from stable_baselines3.common.policies import ActorCriticPolicy\nclass Mine(ActorCriticPolicy): pass\n"
+    )
+    env = gymnasium.make("mecp_env/First-v0")
+    with monkeypatch.context() as inside:
+        inside.syspath_prepend(tmp_path)
+        mine = importlib.import_module("my_network").Mine
+        stock.PPO(mine, env, n_steps=2, batch_size=2, device="cpu").save(tmp_path / "model.zip")
+    monkeypatch.delitem(sys.modules, "my_network")
+    monkeypatch.setattr(sys, "path", [place for place in sys.path if place not in ("", str(tmp_path))])
+    monkeypatch.chdir(tmp_path)
+    assert load("model.zip", trust=True).actions == "discrete"
+
+
 TRAINED = {"PPO": {"n_steps": 2, "batch_size": 2}, "DQN": {"buffer_size": 20, "learning_starts": 5}}
 
 
@@ -140,6 +158,20 @@ def test_a_model_of_vec_normalize_without_its_statistics_is_refused(algorithm: s
         load(tmp_path / "model.zip", trust=True)
     env.save(str(tmp_path / "model_vecnormalize.pkl"))
     assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+
+
+def test_the_statistics_of_another_model_do_not_count(tmp_path: Path) -> None:
+    """Of two models in a folder, one was trained without `VecNormalize`."""
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
+    stock.PPO("MlpPolicy", plain, device="cpu", **TRAINED["PPO"]).learn(4).save(tmp_path / "plain.zip")  # type: ignore[arg-type]
+    VecNormalize(plain).save(str(tmp_path / "vecnormalize.pkl"))
+    with pytest.raises(ConfigError, match=r"trained without VecNormalize, and beside it .*: vecnormalize\.pkl; name"):
+        load(tmp_path / "plain.zip", trust=True)
+    (tmp_path / "other.zip").write_bytes(b"")
+    (tmp_path / "vecnormalize.pkl").rename(tmp_path / "other_vecnormalize.pkl")
+    assert load(tmp_path / "plain.zip", trust=True).actions == "discrete"
 
 
 def test_the_classes_of_the_page_score_weights_and_stacked_frames(

@@ -160,3 +160,36 @@ def test_a_registered_name_stands_for_a_class_in_every_process(monkeypatch: pyte
     for name, path in [*wrong, ("new", Nearest), ("new", lambda: Nearest())]:
         with pytest.raises(ConfigError):
             registry.register_policy(name, path)
+
+
+class Reads(Nearest):
+    """A policy that names the files that it reads."""
+
+    files: Any = ()
+
+
+@pytest.mark.parametrize(
+    ("files", "message"),
+    [
+        ("weights.pt", r"files: weights\.pt: no such file"),
+        (("there", "weights.pt"), r"files: weights\.pt: no such file"),
+        ((".",), r"files: \.: no such file"),
+        (3, r"files 3, expected a tuple of paths"),
+    ],
+)
+def test_a_file_that_a_class_names_and_that_is_none_is_refused(
+    files: Any, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its contents would not count, and the scores of other weights would be kept."""
+    monkeypatch.chdir(tmp_path)
+    Path("there").write_text("one")
+    monkeypatch.setattr(Reads, "files", files)
+    with pytest.raises(ConfigError, match=message):
+        registry.policy_checksum(f"{__name__}:Reads")
+    monkeypatch.setattr(Reads, "files", Path("there"))
+    with pytest.raises(ConfigError, match="expected a tuple of paths"):
+        registry.policy_checksum(f"{__name__}:Reads")
+    monkeypatch.setattr(Reads, "files", ("there",))
+    before = registry.policy_checksum(f"{__name__}:Reads")
+    Path("there").write_text("two")
+    assert registry.policy_checksum(f"{__name__}:Reads") != before
