@@ -249,17 +249,18 @@ def _without_gone(kind: Any, value: Any) -> Any:
 
 
 class Names:
-    """The names that a field may hold: built-in and registered ones."""
+    """The names that a field may hold: built-in ones, and those that a function `by` has registered."""
 
-    def __init__(self, *ours: str) -> None:
-        self.ours, self.others = ours, list[str]()
+    def __init__(self, *ours: str, by: str = "") -> None:
+        self.ours, self.others, self.by = ours, list[str](), by
 
     def check(self, name: str) -> str:
         """`name` itself. Raises `ValueError` for an unknown one."""
         known = [*self.ours, *self.others]
         if name not in known:
             listed = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"
-            raise ValueError(f"Input should be {listed}{guess(name, known)}")
+            more = f"; others are registered by {self.by}, in a module for --with" * bool(self.by)
+            raise ValueError(f"Input should be {listed}{guess(name, known)}{more}")
         return name
 
     def add(self, name: object) -> None:

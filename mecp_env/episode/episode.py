@@ -5,6 +5,7 @@ The shapes of the arrays of a running episode beside those of the estimator (`me
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -149,7 +150,19 @@ def check_state(state: Any, config: EnvConfig) -> None:
     if missing:
         raise StateError(f"state: without {', '.join(sorted(missing))}")
     if state["config"] != config.to_json():
-        raise StateError("state.config: the state is of an environment with another configuration")
+        raise StateError(
+            f"state.config: the state is of an environment with another configuration{_other(state, config)}"
+        )
+
+
+def _other(state: dict[str, Any], config: EnvConfig) -> str:
+    """The sections and fields in which the configuration of a state differs, as the end of a sentence."""
+    try:
+        given, own = json.loads(state["config"]), json.loads(config.to_json())
+        names = sorted(name for name in own.keys() | given.keys() if given.get(name) != own.get(name))
+    except (TypeError, ValueError, AttributeError):
+        return ""
+    return f": {', '.join(names)!s:.200}" * bool(names)
 
 
 def check_parts(seed: Any, body: Any, moving: Any, episode: Any, fresh: SlamPipeline) -> None:

@@ -29,7 +29,7 @@ def chi2_of_point(probability: float) -> float:
     return -2.0 * math.log(1.0 - probability)
 
 
-METHODS = Names(  # `register_associator` adds others
+METHODS = Names(
     *(
         "mecp",
         "mecp_paper",
@@ -40,10 +40,11 @@ METHODS = Names(  # `register_associator` adds others
         "nearest_room",
         "nearest_descriptor",
         "known",
-    )
+    ),
+    by="register_associator",
 )
-KINDS = Names("riekf", "riekf_submaps", "ekf", "fej")  # `register_filter` does
-STRUCTURE_NAMES = Names("mecp", "largest_area", "dobkin")  # and `register_structure`
+KINDS = Names("riekf", "riekf_submaps", "ekf", "fej", by="register_filter")
+STRUCTURE_NAMES = Names("mecp", "largest_area", "dobkin", by="register_structure")
 
 
 class SensorModel(LaserNoise):
@@ -155,6 +156,11 @@ class PolygonConfig(Settings):
     # interval that beams pass is none
     keep_ties: int = Field(2, ge=1, le=4)  # paper: "both of them are considered"
     widest_gap_m: float = Field(2.1, gt=0.0, le=10.0)  # between walls: a door, or one seen from the side; else open
+
+    @property
+    def is_ours(self) -> bool:
+        """True for a structure of the package."""
+        return self.structure in STRUCTURE_NAMES.ours
 
 
 class DynamicObjectsConfig(Settings):

@@ -1,4 +1,4 @@
-"""What a custom associator or filter must keep to while the estimator runs; the parts of this package are not asked.
+"""What a custom associator, filter or structure must keep to in a run; the parts of this package are not asked.
 
 `mecp_env.evaluation.part_checks` tries a part on constructed data before.
 """
@@ -16,7 +16,7 @@ from mecp_env.core.settings import shown
 from mecp_env.core.snapshot import PACKAGE
 from mecp_env.core.snapshot_check import FAR
 from mecp_env.slam.checks import ROUNDING, MatchError, require_arrays
-from mecp_env.slam.messages import Belief, Decision, FeatureState, FeatureTable, Match, Reason
+from mecp_env.slam.messages import Belief, Decision, FeatureState, FeatureTable, Match, Polygon, Reason
 from mecp_env.slam.protocols import FilterError
 
 FLOATS, IDS = np.dtype(np.float64), np.dtype(np.int64)
@@ -85,6 +85,23 @@ def check_custom_match(match: Match, features: FeatureTable, polygons: int, map_
         index = getattr(match, name)
         if not isinstance(index, int | np.integer) or not -1 <= index < count:
             raise MatchError(f"match.{name}: {shown(index)}, a number from -1 to {count - 1} expected")
+
+
+def check_polygons(name: str, found: Any, corners: int) -> None:
+    """Raise `ConfigError` unless a structure has found a tuple of polygons of so many corners."""
+    where = f"polygon.structure {name!r}"
+    if not isinstance(found, tuple) or not all(isinstance(polygon, Polygon) for polygon in found):
+        raise ConfigError(f"{where}: gave {shown(found)}, a tuple of Polygon expected")
+    for polygon in found:
+        require_arrays(polygon, {"corners": IDS}, np.shape(polygon.corners)[:1], where, ConfigError)
+        require_arrays(polygon, {"intervals": FLOATS}, (*np.shape(polygon.intervals)[:1], 4), where, ConfigError)
+        ring, edges = polygon.corners.tolist(), polygon.intervals[:, 0]
+        if len(ring) < 3 or len(set(ring)) < len(ring) or not set(ring) <= set(range(corners)):
+            raise ConfigError(f"{where}: corners {shown(ring)}, three or more different ones of {corners} expected")
+        if not ((edges >= 0) & (edges < len(ring))).all():
+            raise ConfigError(
+                f"{where}: intervals of edges {shown(edges.tolist())}, from 0 to {len(ring) - 1} expected"
+            )
 
 
 def check_belief(belief: Belief, landmarks: Ints, after: str) -> Belief:

@@ -120,7 +120,8 @@ class SlamParts:
 
     def begin_step(self) -> BegunStep:
         """Count a step; a context in which an error of custom parts changes nothing, to be left before painting."""
-        begun = BegunStep() if is_ours(self.associator) and is_ours(self.filter) else UndoneOnError(self)
+        ours = is_ours(self.associator) and is_ours(self.filter)
+        begun = BegunStep() if ours and self.config.polygon.is_ours else UndoneOnError(self)
         self.step_count += 1
         return begun
 

@@ -243,7 +243,7 @@ class Faulty:
 
 def test_an_error_in_the_code_of_a_source_names_the_source_the_building_and_the_line(registered: None) -> None:
     register_buildings("faulty", Faulty)
-    env = gymnasium.make("mecp_env/Layout-v0", layout={"faulty": {}})
+    env = gym.make("mecp_env/Layout-v0", layout={"faulty": {}})
     with pytest.raises(LayoutError, match=r"faulty: building 1: KeyError: 'door' \(layout, line \d+\)"):
         env.reset(options={"building": 1})
     with pytest.raises(ConfigError, match=r"layout: faulty: OSError: no data \(__init__, line \d+\)"):

@@ -79,6 +79,7 @@ DAMAGES = [
     (lambda s: s | {"format": "x"}, "get_state"),
     (lambda s: s | {"version": 99}, "version"),
     (lambda s: s | {"config": make(max_steps=7).unwrapped.config.to_dict()}, "config"),
+    (lambda s: s | {"config": make(max_steps=7).unwrapped.config.to_json()}, "another configuration: max_steps"),
     (lambda s: without(s, "random"), "random"),
     (lambda s: s | {"random": {}}, "random|damaged"),
     (lambda s: with_field(s, "metrics", ...), "metrics"),

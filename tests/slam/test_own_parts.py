@@ -23,11 +23,13 @@ from mecp_env.slam.association import MecpAssociator, register_associator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.custom import is_ours
 from mecp_env.slam.filters import Ekf, FilterError, RightInvariantEkf, register_filter
+from mecp_env.slam.mecp import register_structure
 from mecp_env.slam.messages import Decision, FeatureState
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.command_lines import written_modules
 from tests.env.helpers import episode_of, same
 from tests.slam.drives import Drive, Given, fed
+from tests.slam.make import polygon
 
 OWN = {"association": {"method": "global_nearest"}, "filter": {"kind": "plain_ekf"}, "polygon": {"structure": "both"}}
 
@@ -245,6 +247,39 @@ def test_a_filter_that_fails_while_the_map_grows_changes_nothing(own, drive, met
     assert same(without_associator(pipeline), without_associator(whole))
 
 
+def test_an_empty_filter_that_adds_no_landmark_is_refused(own: dict[str, ModuleType], drive: Drive) -> None:
+    class Idle(own["plain_ekf"].PlainEkf):  # type: ignore[misc,name-defined]
+        def augment(self, z: Any, R: Any, ids: Any) -> None:
+            pass
+
+    with pytest.raises(FilterError, match=r"Idle\.augment: it added none of the landmarks \[0, "):
+        list(fed(SlamPipeline(filter=Idle(SlamConfig().filter)), drive, 0, 30))
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (None, "gave None, a tuple of Polygon expected"),
+        ((np.arange(4),), "a tuple of Polygon expected"),
+        ((polygon([0, 1, 99]),), r"corners \[0, 1, 99\], three or more different ones of"),
+        ((polygon([0, 1, 1]),), "different ones of"),
+        ((replace(polygon([0, 1, 2]), corners=np.zeros(3)),), "corners: an array of float64, one of int64 expected"),
+        ((polygon([0, 1, 2], np.zeros((2, 3))),), r"intervals: shape \(2, 3\), \(2, 4\) expected"),
+        ((polygon([0, 1, 2], np.full((1, 4), 3.0)),), r"intervals of edges \[3.0\], from 0 to 2 expected"),
+    ],
+)
+def test_a_wrong_polygon_of_a_custom_structure_changes_nothing(own_parts, drive, found, said) -> None:
+    answers = list[Any]()
+    register_structure("given", lambda corners, beams, config, wall: answers[0] if answers else ())
+    pipeline = SlamPipeline({"polygon": {"structure": "given"}})
+    list(fed(pipeline, drive, 0, 10))
+    before = without_associator(pipeline)
+    answers.append(found)
+    with pytest.raises(ConfigError, match=f"polygon.structure 'given'.*{said}"):
+        pipeline.step(drive.odometry[10], drive.scans[10])
+    assert same(without_associator(pipeline), before)
+
+
 def test_a_custom_part_is_checked_whatever_of_ours_it_has_inside() -> None:
     class Around(MecpAssociator):
         __slots__ = ("others",)
@@ -282,5 +317,6 @@ def test_names_that_cannot_be_registered(register, name, said) -> None:
 def test_a_name_that_nobody_registered_is_told_with_those_there_are() -> None:
     with pytest.raises(ConfigError, match=r"association\.method: .*'nearest_descriptor' or 'known'.*mean 'nearest'"):
         SlamConfig(association={"method": "nearst"})
-    with pytest.raises(ConfigError, match=r"filter\.kind: .*'riekf', 'riekf_submaps', 'ekf' or 'fej'.*mean 'ekf'"):
+    known = r"'riekf', 'riekf_submaps', 'ekf' or 'fej'.*mean 'ekf'.*; others are registered by register_filter"
+    with pytest.raises(ConfigError, match=rf"filter\.kind: .*{known}"):
         SlamConfig(filter={"kind": "ekff"})

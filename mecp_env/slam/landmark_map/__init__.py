@@ -40,7 +40,7 @@ from mecp_env.slam.messages import (
     Segments,
     Sighting,
 )
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.protocols import Filter, FilterError
 
 Resolve = Callable[[int], int]  # room -> the room that it became by merges
 
@@ -83,7 +83,8 @@ class LandmarkMap:
     def initialise(self, seen: Sighting, confirmed: Ints, landmark_filter: Filter) -> Sighting:
         """Augment the filter with the tracks confirmed now, by this sighting alone; the sighting with that belief.
 
-        Those that find no room in a full filter are dropped, and counted there.
+        Those that find no room in a full filter are dropped, and counted there. Raises `FilterError` for an empty one
+        that adds none.
         """
         if not len(confirmed):
             return seen
@@ -91,6 +92,10 @@ class LandmarkMap:
         ids = seen.match.ids[confirmed]
         landmark_filter.augment(z, R, ids)
         accepted = np.array([landmark_filter.has(int(i)) for i in ids])
+        if not (accepted.any() or len(landmark_filter.ids)):
+            raise FilterError(
+                f"{type(landmark_filter).__name__}.augment: it added none of the landmarks {ids.tolist()}"
+            )
         self.features.rows["state"][ids] = np.where(accepted, int(FeatureState.LANDMARK), int(FeatureState.DEAD))
         return replace(seen, belief=landmark_filter.belief())
 

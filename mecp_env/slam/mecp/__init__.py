@@ -7,6 +7,7 @@ from collections.abc import Callable
 from mecp_env.core.carriers import Bools
 from mecp_env.core.registry import register
 from mecp_env.slam.config import STRUCTURE_NAMES, PolygonConfig
+from mecp_env.slam.custom import check_polygons
 from mecp_env.slam.mecp.dobkin import find_dobkin
 from mecp_env.slam.mecp.polygons import find_largest, find_polygons
 from mecp_env.slam.messages import Corners, MergedScan, Polygon
@@ -34,8 +35,14 @@ def register_structure(name: str, find: Structure) -> None:
 def find_structure(
     corners: Corners, beams: MergedScan, config: PolygonConfig, wall: Bools | None = None
 ) -> tuple[Polygon, ...]:
-    """The polygons of a scan: those of the structure that `config.structure` names (III-A.2: the MECP)."""
-    return STRUCTURES[config.structure](corners, beams, config, wall)
+    """The polygons of a scan: those of the structure that `config.structure` names (III-A.2: the MECP).
+
+    Raises `ConfigError` for a custom one that gives anything else.
+    """
+    found = STRUCTURES[config.structure](corners, beams, config, wall)
+    if not config.is_ours:
+        check_polygons(config.structure, found, len(corners))
+    return found
 
 
 __all__ = [
