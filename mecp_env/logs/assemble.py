@@ -15,11 +15,11 @@ from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between, chained, composed, interpolated
 from mecp_env.logs.angles import FARTHEST_M, headings_in_radians, take_radians
-from mecp_env.logs.bridges import bridged, with_ends
 from mecp_env.logs.clock import FASTEST_M_S, Clock, ascending_rows, carried, listed, set_stamps
 from mecp_env.logs.lasers import one_scanner
 from mecp_env.logs.log import Log
 from mecp_env.logs.readings import Readings, Recording, Sweep, Track, clean, take_metres
+from mecp_env.logs.registration import bridged, with_ends
 
 GAP = 5.0  # medians between two scans
 SLACK_M = 0.5  # a motion that is longer, and faster than a robot, is a jump of the odometry;

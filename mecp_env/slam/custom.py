@@ -1,19 +1,20 @@
-"""What a custom associator, filter or structure must keep to in a run; the parts of this package are not asked.
+"""Custom associators, filters and structures: how they become known, and what they must keep to in a run.
 
-`mecp_env.evaluation.part_checks` tries a part on constructed data before.
+The parts of this package are not asked. `mecp_env.evaluation.part_checks` tries a part on constructed data before.
 """
 
 from __future__ import annotations
 
 import copy
-from typing import Any, Self
+from collections.abc import Callable, MutableMapping
+from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.settings import shown
-from mecp_env.core.snapshot import PACKAGE
+from mecp_env.core.settings import Names, shown
+from mecp_env.core.snapshot import PACKAGE, admit
 from mecp_env.core.snapshot_check import FAR
 from mecp_env.slam.checks import ROUNDING, MatchError, require_arrays
 from mecp_env.slam.messages import Belief, Decision, FeatureState, FeatureTable, Match, Polygon, Reason
@@ -23,6 +24,19 @@ FLOATS, IDS = np.dtype(np.float64), np.dtype(np.int64)
 REASONS = np.array(list(map(int, Reason)))
 COPIED = ("divergence", "guard", "recent")  # what changes in place before the grid is painted
 DEEPLY = ("map", "rooms")  # the same, inside
+
+
+Make = TypeVar("Make", bound=Callable[..., object])
+
+
+def register(names: Names, makers: MutableMapping[str, Make], name: str, make: Make) -> None:
+    """Make `name` known, and states ready to hold what `make` makes, where that is a class. Raises `ConfigError`."""
+    if not callable(make):
+        raise ConfigError(f"make: {shown(make)}, a class or a function expected")
+    names.add(name)
+    makers[name] = make
+    if isinstance(make, type):
+        admit(make)
 
 
 def is_ours(part: object) -> bool:

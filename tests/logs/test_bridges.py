@@ -8,8 +8,8 @@ import pytest
 
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, read_log
-from mecp_env.logs.bridges import bridged, with_ends
 from mecp_env.logs.odometry_model import OdometryModel
+from mecp_env.logs.registration import bridged, with_ends
 from tests.logs.calibrated import simulated_log
 from tests.logs.files import BEARINGS, drive
 

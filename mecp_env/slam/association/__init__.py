@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 
-from mecp_env.core.registry import register
 from mecp_env.slam.association.gating import MatchBuilder, ignored
 from mecp_env.slam.association.mecp import JointDescriptorAssociator, MecpAssociator
 from mecp_env.slam.association.paper import MecpPaperAssociator, PostsApart
@@ -15,6 +14,7 @@ from mecp_env.slam.association.rivals import (
     nearest_room,
 )
 from mecp_env.slam.config import METHODS, AssociationConfig
+from mecp_env.slam.custom import register
 from mecp_env.slam.protocols import Associator
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mecp_env.core.registry import register
 from mecp_env.slam.config import KINDS, FilterConfig
+from mecp_env.slam.custom import register
 from mecp_env.slam.filters.core import Ekf, RightInvariantEkf
 from mecp_env.slam.filters.first_estimates import FirstEstimateEkf
 from mecp_env.slam.filters.submap import SubmapEkf

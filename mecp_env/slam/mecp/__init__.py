@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mecp_env.core.carriers import Bools
-from mecp_env.core.registry import register
 from mecp_env.slam.config import STRUCTURE_NAMES, PolygonConfig
-from mecp_env.slam.custom import check_polygons
+from mecp_env.slam.custom import check_polygons, register
 from mecp_env.slam.mecp.dobkin import find_dobkin
 from mecp_env.slam.mecp.polygons import find_largest, find_polygons
 from mecp_env.slam.messages import Corners, MergedScan, Polygon
