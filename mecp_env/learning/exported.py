@@ -192,16 +192,8 @@ def class_of(path: Path) -> str:
 
 
 def statistics_for(algorithm: Any, path: Path) -> Path | None:
-    """The statistics of `VecNormalize` beside a model.
-
-    Raises `ConfigError` where it was trained with some and has none, or the other way round.
-    """
+    """The statistics of `VecNormalize` beside a model. Raises `ConfigError` where it was trained with some, without."""
     found = statistics_of(path)
-    if found is not None and was_raw(algorithm):
-        raise ConfigError(
-            f"policy: {path} was trained without VecNormalize, and beside it are statistics: {found.name}; name those "
-            "of another model MODEL_vecnormalize.pkl, or move them"
-        )
     if found is None and was_normalised(algorithm):
         raise ConfigError(
             f"policy: {path} was trained on observations that VecNormalize made, and its statistics are not beside it "
@@ -221,14 +213,6 @@ def was_normalised(algorithm: Any) -> bool:
     rows = zip(*last.values(), strict=True) if isinstance(last, dict) else last
     seen = (dict(zip(last, row, strict=True)) if isinstance(last, dict) else row for row in rows)
     return not all(algorithm.observation_space.contains(row) for row in seen)
-
-
-def was_raw(algorithm: Any) -> bool:
-    """True for a model that was certainly trained without `VecNormalize`.
-
-    The observation before it is then missing beside the last one. Off-policy algorithms always have it.
-    """
-    return getattr(algorithm, "_last_obs", None) is not None and algorithm._last_original_obs is None
 
 
 def normalisation(place: Path) -> Callable[[Any], Any]:

@@ -160,20 +160,6 @@ def test_a_model_of_vec_normalize_without_its_statistics_is_refused(algorithm: s
     assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
 
 
-def test_the_statistics_of_another_model_do_not_count(tmp_path: Path) -> None:
-    """Of two models in a folder, one was trained without `VecNormalize`."""
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
-    plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
-    stock.PPO("MlpPolicy", plain, device="cpu", **TRAINED["PPO"]).learn(4).save(tmp_path / "plain.zip")  # type: ignore[arg-type]
-    VecNormalize(plain).save(str(tmp_path / "vecnormalize.pkl"))
-    with pytest.raises(ConfigError, match=r"trained without VecNormalize, and beside it .*: vecnormalize\.pkl; name"):
-        load(tmp_path / "plain.zip", trust=True)
-    (tmp_path / "other.zip").write_bytes(b"")
-    (tmp_path / "vecnormalize.pkl").rename(tmp_path / "other_vecnormalize.pkl")
-    assert load(tmp_path / "plain.zip", trust=True).actions == "discrete"
-
-
 def test_the_classes_of_the_page_score_weights_and_stacked_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
