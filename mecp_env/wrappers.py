@@ -61,10 +61,7 @@ class GoalActions(gymnasium.Wrapper[Observation, Any, Observation, Any]):
         if not isinstance(env.unwrapped, MecpEnv) or env.unwrapped.config.actions == "discrete":
             raise ConfigError("GoalActions: expected a mecp_env environment with actions='goal' or 'velocity'")
         self.base = env.unwrapped
-        for name in (
-            "observation_space",
-            "action_space",
-        ):  # a drive sends the commands of `base`, and shows what it sees
+        for name in ("observation_space", "action_space"):  # a drive sends commands to `base`, and shows what it sees
             if getattr(env, name) != getattr(self.base, name):
                 raise ConfigError(f"GoalActions: {env} changes the {name}; put that wrapper around GoalActions")
         self.callback, self.observes = callback, True

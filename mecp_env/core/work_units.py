@@ -18,7 +18,7 @@ from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Se
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
 from functools import cache, partial
-from itertools import islice, takewhile
+from itertools import islice
 from multiprocessing.connection import wait
 from pathlib import Path
 from typing import Any, Self, TypeVar
@@ -37,7 +37,7 @@ ONE_TRY = "RAY_NUM_REDIS_GET_RETRIES", "1"  # of 40 s each to reach the head, fo
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
 START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
-STOP_POLL_S = 0.2  # how often `stop` is called
+POLL_S = 0.2  # how long results are waited for, before Python can see an interrupt
 FORMAT, VERSION = "mecp_env result", 1
 NOT_A_NAME = re.compile(r"[^\w-]+", re.ASCII)
 
@@ -137,24 +137,23 @@ def _result(ray: Any, reference: Any, unit: Any) -> Any:
 
 
 def run_units(
-    task: Callable[[Unit], Result], units: Iterable[Unit], jobs: int, stop: Callable[[], bool] = lambda: False
+    task: Callable[[Unit], Result], units: Iterable[Unit], jobs: int
 ) -> Generator[tuple[int, Result | FailedUnit]]:
     """`task(unit)` of each unit as it is finished, with the number of the unit, on `jobs` processes.
 
     A unit that raises, or whose process dies, gives a `FailedUnit`; the process is replaced, and the others go on. With
-    one job everything runs here. The processes end with the generator: after `close()`, an exception such as Ctrl-C, or
-    when `stop()` is true.
+    one job everything runs here. The processes end with the generator: after `close()`, or an exception such as Ctrl-C.
     """
     numbered = enumerate(units)
     if jobs == 1:
-        for number, unit in takewhile(lambda _: not stop(), numbered):
+        for number, unit in numbered:
             yield number, _attempt(task, unit)
         return
     workers = _UnitWorkers(task, numbered)
     try:
         for _ in range(jobs):
             workers.begin()
-        while workers.busy and not stop():
+        while workers.busy:
             yield from workers.finished()
     finally:
         workers.stop()
@@ -181,7 +180,7 @@ class _UnitWorkers:
     def finished(self) -> Iterator[tuple[int, Any]]:
         """What is finished within a moment; the workers then have their next units."""
         pipes: Any = [worker.pipe for worker in self.busy]
-        ready = wait(pipes, STOP_POLL_S)
+        ready = wait(pipes, POLL_S)
         for worker in [worker for worker in self.busy if worker.pipe in ready]:
             number, unit = self.busy.pop(worker)
             try:

@@ -11,7 +11,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -55,17 +54,6 @@ def test_what_fails_is_named_with_its_unit_and_the_others_finish() -> None:
     assert str(results[3]) == "-1: its process was killed by SIGKILL"
     assert [type(results[number].error) for number in (1, 3)] == [ValueError, WorkerDied]
     assert list(run_units(root, [], 2)) == []
-    assert not multiprocessing.active_children()
-
-
-@pytest.mark.parametrize("jobs", [1, 2])
-def test_stop_ends_an_endless_run(jobs: int) -> None:
-    """What other processes work on at that moment is left out, and nothing else."""
-    numbers = list[int]()
-    for number, _ in run_units(root, count(), jobs, lambda: len(numbers) >= 5):
-        numbers.append(number)
-    assert len(set(numbers)) == len(numbers) >= 5
-    assert len(set(range(max(numbers))) - set(numbers)) < jobs
     assert not multiprocessing.active_children()
 
 
