@@ -52,6 +52,7 @@ SHAPES: Shapes = {
     "MapPolygon": {"ids": "k in 0:F", "intervals": "i 4", "room": " in -1:32768"},
     "PolygonGroup": {"ids": "n k in 0:F", "index": "n in 0:P"},
     "DoorMap": {"ids": "n", "jambs": "n 4 in -1:F"},
+    "Passage": {"frame": f"5 in {NEAR}"},
     "Trail": {"places": f"n 4 in -{LONG}:{10**15}"},
     "Canvas": {
         "layers": "7 h w",
@@ -175,7 +176,7 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
         raise StateError(f"{where}.state: not finite, or too far away")
 
 
-FILE = FileKind("mecp_env map", 9, __version__)
+FILE = FileKind("mecp_env map", 10, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")

@@ -161,7 +161,7 @@ class SlamPipeline(SlamParts):
         static = self.dynamic_objects.reject(seen.match, seen.corners, beams, dynamic)
         seen = self._extend_map(seen.with_match(static), around, wide=not sharp)
         belief, pruned = self.map.prune(beams, segments, seen, self.filter, self.rooms.resolve)
-        self.rooms.forget(pruned)
+        self.rooms.forget(pruned, seen.belief)
         painted = self.dynamic_objects.without(beams, segments, dynamic)
         still = ScanFeatures(*painted, around.scan.corners, around.scan.wall)
         self.recent.remember(still, seen.match, self.rooms.graph(), self.filter, self.guard.is_sure)

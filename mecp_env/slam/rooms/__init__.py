@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TypeVar
 
 import numpy as np
 
@@ -28,14 +29,17 @@ from mecp_env.slam.messages import (
 )
 from mecp_env.slam.rooms.doors import (
     DoorMap,
+    Passage,
     RoomLimits,
     are_landmarks,
     door_frames,
     forget_jambs,
+    gap_frame,
     lies_inside,
     pass_through,
     record_doorways,
     rename_jambs,
+    rooms_beside,
     rooms_next_door,
     seen_through,
 )
@@ -82,6 +86,7 @@ def last_crossing(path: Array, gap: Array) -> int:
 
 
 LANDMARK = int(FeatureState.LANDMARK)
+Joins = TypeVar("Joins", Door, Passage)
 
 
 @dataclass(slots=True, eq=False)
@@ -146,10 +151,10 @@ class RoomGraphEstimator:
         for keep, drop in merged:
             rename_jambs(self.door_map, keep, drop)
 
-    def forget(self, pruned: Ints) -> None:
-        """The landmarks `pruned` (m,) are gone, and with them the doors that have no other face."""
+    def forget(self, pruned: Ints, belief: Belief) -> None:
+        """The landmarks `pruned` (m,) are gone after this belief, and with them the doors that have no other face."""
         if len(pruned):
-            forget_jambs(self.door_map, pruned)
+            forget_jambs(self.door_map, pruned, belief)
 
     def place(self, room: int) -> None:
         """Be in a room that the robot was put into, and did not drive to."""
@@ -165,7 +170,8 @@ class RoomGraphEstimator:
             passed = self.trail.passed(belief.p_map[belief.rows(np.array(door.jambs))]) if door.id >= first else None
             if passed is None:
                 continue
-            left, room = self.current, self._open()
+            here, there = rooms_beside(self.door_map, self.door_map.frames(belief)[d], self.config)
+            left, room = self.current, here if there == self.current else self._open()
             self.door_map.set_doors(
                 [*self.door_map.doors[:d], replace(door, rooms=(room, left)), *self.door_map.doors[d + 1 :]]
             )
@@ -238,7 +244,8 @@ class RoomGraphEstimator:
         for candidate in self.door_map.candidates:
             passed = _passed(belief.T_map_robot, candidate.ends, self.config.doorway_m)
             if passed and self.resolve(candidate.room) == self.current and are_landmarks(candidate.ids, features):
-                room = self._open()
+                here, there = rooms_beside(self.door_map, gap_frame(candidate.ends), self.config)
+                room = there if here == self.current else self._open()
                 pass_through(self.door_map, candidate, features, (self.current, room), self.config)
                 self._arrive(room)
                 return
@@ -340,6 +347,8 @@ class RoomGraphEstimator:
         self.rooms.remove(old)
         doors = [self._with_rooms_resolved(door) for door in self.door_map.doors]
         # a gap that leads from a room to itself is not a door: it is inside the room
+        passages = map(self._with_rooms_resolved, self.door_map.passages)
+        self.door_map.passages = [one for one in passages if one.rooms[0] != one.rooms[1]]
         middles = self.door_map.frames(belief)[:, :2].tolist()
         self.door_map.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
         self.door_map.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
@@ -347,9 +356,9 @@ class RoomGraphEstimator:
             c for c in self.door_map.candidates if not lies_inside(self.door_map, c.ends, self.config)
         ]
 
-    def _with_rooms_resolved(self, door: Door) -> Door:
-        first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in door.rooms)
-        return replace(door, rooms=(first, second))
+    def _with_rooms_resolved(self, joins: Joins) -> Joins:
+        first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in joins.rooms)
+        return replace(joins, rooms=(first, second))
 
     def resolve(self, room: int) -> int:
         """The room that `room` stands for after all merges."""

@@ -66,6 +66,14 @@ class RoomLimits:
 DYNAMIC = int(Reason.DYNAMIC)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """A door between two known rooms, one of whose jambs is no landmark any more: a gap seen there joins them again."""
+
+    frame: Array  # (5,) as `DoorMap.frames`, where it was last
+    rooms: tuple[int, int]  # in front of it, behind it
+
+
 @dataclass(slots=True, eq=False)
 class DoorMap:
     """Doors, candidates, and how often each pair of jambs was seen."""
@@ -78,6 +86,7 @@ class DoorMap:
     jambs: Ints = field(default_factory=lambda: np.empty((0, 4), np.int64))  # (D,4) as `door_jambs`
     row: dict[tuple[int, int], int] = field(default_factory=dict)  # face -> index in `doors`
     inside: list[tuple[float, float]] = field(default_factory=list)  # m, map frame: gaps that lie inside one room
+    passages: list[Passage] = field(default_factory=list)  # the last one at a place is the newest
 
     def set_doors(self, doors: list[Door]) -> None:
         """Replace the doors; what is derived from them follows."""
@@ -241,6 +250,8 @@ def _confirm(
     _mark_jambs(ids, features)
     new = Door(door_map.next_id, ids, None, (room, UNKNOWN_ROOM), door_map.sightings[ids])
     frame = door_frames(belief.p_map, belief.ids, door_jambs([new]))[0]
+    before, behind = rooms_beside(door_map, frame, config)
+    new = replace(new, rooms=(room, behind if before == room else UNKNOWN_ROOM))
     for d, other in enumerate(door_map.frames(belief)):
         joined = _joined(door_map.doors[d], other, new, frame, room, config)
         if joined is not None:
@@ -261,17 +272,24 @@ def are_landmarks(ids: tuple[int, int], features: FeatureTable) -> bool:
 
 def _joined(door: Door, frame: Array, new: Door, new_frame: Array, room: int, config: RoomLimits) -> Door | None:
     """The known door with this sighting added, when the new pair of jambs is one of its faces; None otherwise."""
-    offset = new_frame[:2] - frame[:2]
-    alike = frame[2] * new_frame[2] + frame[3] * new_frame[3]
-    apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
-    sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
-    if abs(alike) < 0.9 or sideways > config.same_gap_m or apart > config.wall_thickness_m:
+    alike = same_place(frame, new_frame, config)
+    if not alike:
         return None
     if alike > 0.0 or door.other_face is not None:
         return replace(door, sightings=door.sightings + 1)
     beyond = room if door.rooms[1] == UNKNOWN_ROOM and room != door.rooms[0] else door.rooms[1]
     faces = (new.jambs[1], new.jambs[0])
     return replace(door, other_face=faces, rooms=(door.rooms[0], beyond), sightings=door.sightings + new.sightings)
+
+
+def same_place(frame: Array, other: Array, config: RoomLimits) -> float:
+    """Cosine between the normals of two frames (5,), below 0 for the two faces of a wall; 0 for gaps elsewhere."""
+    offset = other[:2] - frame[:2]
+    alike = float(frame[2] * other[2] + frame[3] * other[3])
+    apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
+    sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
+    elsewhere = abs(alike) < 0.9 or sideways > config.same_gap_m or apart > config.wall_thickness_m
+    return 0.0 if elsewhere else alike
 
 
 def _seen_well(door_map: DoorMap, ends: Array, config: RoomLimits) -> int:
@@ -314,6 +332,22 @@ def same_gap(a: Array, b: Array, config: RoomLimits) -> bool:
     return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.same_gap_m
 
 
+def gap_frame(ends: Array) -> Array:
+    """(5,) as `DoorMap.frames`, of a gap with the ends (2,2): right and left as seen from the first room."""
+    (x, y), middle = (ends[1] - ends[0]).tolist(), ends.mean(axis=0)
+    width = math.hypot(x, y)
+    return np.array([*middle, -y / width, x / width, width / 2.0])
+
+
+def rooms_beside(door_map: DoorMap, frame: Array, config: RoomLimits) -> tuple[int, int]:
+    """The rooms in front of and behind a gap with this frame (5,), from the last passage there; unknown without one."""
+    for passage in reversed(door_map.passages):
+        alike = same_place(passage.frame, frame, config)
+        if alike:
+            return passage.rooms if alike > 0.0 else passage.rooms[::-1]
+    return UNKNOWN_ROOM, UNKNOWN_ROOM
+
+
 def pass_through(
     door_map: DoorMap, candidate: Candidate, features: FeatureTable, rooms: tuple[int, int], config: RoomLimits
 ) -> None:
@@ -330,10 +364,16 @@ def _without_faces(door: Door, lost: set[int]) -> Door | None:
     return replace(door, jambs=faces[0], other_face=(*faces, None)[1]) if faces else None
 
 
-def forget_jambs(door_map: DoorMap, gone: Ints) -> None:
-    """Remove the faces of doors with one of the landmarks `gone` (m,), and the doors without a face."""
+def forget_jambs(door_map: DoorMap, gone: Ints, belief: Belief) -> None:
+    """Remove the faces of doors with one of the landmarks `gone` (m,), still in the belief, and doors without a face.
+
+    What a door between two known rooms joined is remembered as a `Passage`.
+    """
     lost = set(gone.tolist())
     doors = [_without_faces(door, lost) for door in door_map.doors]
+    for door, kept, frame in zip(door_map.doors, doors, door_map.frames(belief), strict=True):
+        if kept is None and UNKNOWN_ROOM not in door.rooms:
+            door_map.passages.append(Passage(frame.copy(), door.rooms))
     door_map.set_doors([door for door in doors if door is not None])
     door_map.sightings = {pair: count for pair, count in door_map.sightings.items() if lost.isdisjoint(pair)}
     door_map.candidates = [c for c in door_map.candidates if lost.isdisjoint(c.ids)]

@@ -322,11 +322,12 @@ def test_corners_of_things_that_stand_in_the_room_stay(x, y, turn):
 def test_doors_forget_the_faces_that_hung_on_a_lost_landmark():
     book = DoorMap(sightings={(0, 1): 4, (4, 5): 3}, candidates=[make.candidate(ids=(4, 9))])
     faces = ((0, 1), (2, 3)), ((4, 5), None), ((6, 7), (8, 9))
-    book.set_doors([make.door(id, *both) for id, both in enumerate(faces)])
-    forget_jambs(book, np.array([0, 4]))
+    book.set_doors([make.door(id, *both, rooms=(0, id)) for id, both in enumerate(faces)])
+    forget_jambs(book, np.array([0, 4]), make.belief((0.0, 0.0, 0.0), np.random.default_rng(0).normal(size=(10, 2))))
     assert [(door.id, door.jambs, door.other_face) for door in book.doors] == [(0, (2, 3), None), (2, (6, 7), (8, 9))]
     assert (0, 1) not in book.sightings
     assert not book.candidates
+    assert [passage.rooms for passage in book.passages] == [(0, 1)]
 
 
 def test_nothing_is_dynamic_and_nothing_pruned_in_a_static_world():

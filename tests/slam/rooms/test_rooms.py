@@ -9,7 +9,7 @@ from shapely.geometry import LineString
 from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
 from mecp_env.slam.rooms import RoomGraphEstimator, Trail, last_crossing
-from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, rename_jambs
+from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, gap_frame, rename_jambs, rooms_beside
 from tests.slam import make
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
@@ -338,6 +338,55 @@ def test_fused_jambs_keep_the_door():
     rename_jambs(book, 9, 0)
     assert book.doors[0].jambs == (9, 1)
     assert book.sightings == {(9, 1): 4}
+
+
+def without_door():
+    """A keeper that has passed the door into room 1, and then lost its jambs."""
+    keeper = in_upper_room()
+    keeper.forget(np.array([0, 1]), belief_at(0.0, 0.5))
+    assert not keeper.door_map.doors
+    return keeper
+
+
+def test_a_gap_where_a_door_was_joins_the_same_rooms():
+    """A jamb that came and went made one KTH room ten: each was explored again."""
+    keeper = without_door()
+    for _ in range(3):
+        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    assert [door.rooms for door in keeper.door_map.doors] == [(1, 0)]
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
+    assert keeper.graph().rooms == (0, 1)
+
+
+def test_a_candidate_where_a_door_was_leads_into_the_known_room():
+    keeper = without_door()
+    look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), confirmable=False)
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
+    assert [door.rooms for door in keeper.door_map.doors] == [(1, 0)]
+
+
+def test_a_door_passed_before_it_was_seen_again_leads_into_the_known_room():
+    keeper = without_door()
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 1]
+    for _ in range(3):
+        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    assert keeper.current == 0
+    assert [door.rooms for door in keeper.door_map.doors] == [(0, 1)]
+
+
+def test_a_gap_elsewhere_or_across_leads_into_a_new_room():
+    keeper = without_door()
+    for x, y, normal in ((1.0, 0.0, (0.0, -1.0)), (0.0, 0.0, (-1.0, 0.0))):
+        assert rooms_beside(keeper.door_map, np.array([x, y, *normal, 0.45]), LIMITS) == (-1, -1)
+    assert rooms_beside(keeper.door_map, np.array([0.1, 0.1, 0.0, -1.0, 0.45]), LIMITS) == (0, 1)
+    assert rooms_beside(keeper.door_map, gap_frame(GAP[::-1]), LIMITS) == (1, 0)
+
+
+def test_rooms_that_merge_are_joined_by_no_passage():
+    keeper = without_door()
+    seen_twice(keeper, ids=(7, 8, 9), polygon_room=0)
+    assert keeper.graph().rooms == (0,)
+    assert not keeper.door_map.passages
 
 
 def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
