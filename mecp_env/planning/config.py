@@ -29,7 +29,7 @@ class GoalsConfig(Settings):
     apart_m: float = Field(0.5, gt=0.0, le=5.0)  # goals of one kind closer than this are one goal
     refusals: int = Field(3, ge=1, le=100)  # a goal refused this often is given up
     retries: int = Field(2, ge=0, le=100)  # number of retries of refused goals with pedestrians
-    visits: int = Field(2, ge=1, le=100)  # a goal still open after this many visits is given up
+    visits: int = Field(2, ge=1, le=100)  # a goal still open after so many is given up; an open edge: one
     settled: int = Field(6, ge=1, le=100)  # given up after closing from a distance and reopening this often
 
 
@@ -62,7 +62,7 @@ class NavigatorConfig(Settings):
 
     reached_m: float = Field(0.25, gt=0.0, le=2.0)
     dwell_steps: int = Field(3, ge=0, le=100)  # observation time before a goal counts as reached
-    limit_steps: int = Field(250, ge=1, le=10_000)
+    limit_steps: int = Field(250, ge=1, le=10_000)  # beyond those that the way takes at full speed
     replan_steps: int = Field(10, ge=1, le=1000)
     off_path_m: float = Field(0.4, gt=0.0, le=5.0)  # the robot plans again when it is farther from its path
     tries: int = Field(3, ge=1, le=100)  # plans without a path before the goal is refused

@@ -17,7 +17,7 @@ from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, PLACE, Goal, GoalKind, Goals, Outcome
+from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, OPEN, PLACE, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph
@@ -150,6 +150,7 @@ class GoalHistory:
     def record(self, goals: Goals, row: int, ended: Outcome, config: GoalsConfig) -> Remembered:
         """What is remembered of a goal after one more drive to it. Ended often enough, and the goal is closed.
 
+        One visit to an open edge is enough: all that can be seen from there was, and no polygon came of it.
         One that was settled on the way has shown something: what is still to be seen there is a goal again.
         """
         kind, room, p_map = int(goals.kind[row]), int(goals.room[row]), goals.p_map[row]
@@ -162,7 +163,7 @@ class GoalHistory:
         remembered.settled += int(ended == Outcome.SETTLED)
         remembered.closed = (
             remembered.refusals >= config.refusals
-            or (remembered.visits >= config.visits and kind != PLACE)
+            or (remembered.visits >= (1 if kind == OPEN else config.visits) and kind != PLACE)
             or remembered.settled >= config.settled
         )
         return remembered

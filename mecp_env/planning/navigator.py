@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from mecp_env.core import grid_paths
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import compose
-from mecp_env.planning.config import GoalsConfig, PathsConfig, PlanningConfig
+from mecp_env.planning.config import ControlConfig, GoalsConfig, PathsConfig, PlanningConfig
 from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, off_path, seen_points
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, LOOK, OPEN, PLACE, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, OpenEdge, door_places, unexplained_gaps
@@ -124,6 +124,7 @@ class Navigator:
     outcome: Outcome = Outcome.REFUSED
     path: Array = field(default_factory=lambda: np.empty((0, 2)))  # (n,2) m, map frame; empty: to be planned
     steps: int = 0
+    way_steps: int = 0  # that the first path takes at full speed
     planned: int = 0  # step of the last plan
     planned_version: int = -1  # of the grid
     tries: int = 0  # plans without a path, in a row
@@ -138,7 +139,9 @@ class Navigator:
         """Start a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
         self.path = NO_PATH
-        self.steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = self.dwelt = 0
+        self.steps = self.way_steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = (
+            self.dwelt
+        ) = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
     def step(self, output: SlamOutput) -> tuple[float, float]:
@@ -162,7 +165,7 @@ class Navigator:
             return Outcome.SETTLED if far else Outcome.REACHED
         if self.dwelt >= limits.dwell_steps:
             return Outcome.REACHED
-        return Outcome.REFUSED if self.steps > limits.limit_steps else Outcome.RUNNING
+        return Outcome.REFUSED if self.steps > limits.limit_steps + self.way_steps else Outcome.RUNNING
 
     def _there(self, target: Target, output: SlamOutput) -> bool:
         """True when the robot is at the goal, or as near as it can come (but for a door, which lies on the path)."""
@@ -187,6 +190,9 @@ class Navigator:
         before = len(self.path)
         self.path = plan(target, output, self.config, stuck=self.recoveries > 0)
         self.tries = 0 if len(self.path) else self.tries + 1
+        if not self.way_steps and len(self.path):
+            length_m = float(np.hypot(*np.diff(self.path, axis=0).T).sum())
+            self.way_steps = math.ceil(length_m / (self.config.control.speed_m_s * self.config.control.period_s))
         if not before or self.tries:
             self.best_left_m, self.best_step = math.inf, self.steps
         if self.tries >= self.config.navigator.tries:
@@ -204,7 +210,7 @@ class Navigator:
             self.best_left_m, self.best_step = left, self.steps
         if self.steps - self.best_step >= config.navigator.stuck_steps:
             return self._recover(output)
-        control, body, laser = config.control, config.paths, output.T_robot_laser
+        control, body, laser = squeezed(config.control, self.recoveries), config.paths, output.T_robot_laser
         command = follow(self.path, output.belief.T_map_robot, output.beams, control, body, laser)
         self.command = coast(command, self.command, output.beams, control, body, laser)
         return self.command
@@ -227,6 +233,15 @@ class Navigator:
         back_m_s, points = self.config.navigator.back_m_s, seen_points(output.beams, control, output.T_robot_laser)
         safe = can_stop(points, -back_m_s, side, control.period_s, control.record, body.record)
         return (-back_m_s, -side * back_m_s) if safe else (0.0, side * control.turn_rad_s / 2)
+
+
+@lru_cache(REMEMBERED)
+def squeezed(control: ControlConfig, recoveries: int) -> ControlConfig:
+    """The controller of a robot that got stuck so often on its way: each time it keeps half as far off what is seen.
+
+    It can then leave a place that it came into through a gap hardly wider than itself.
+    """
+    return control.model_copy(update={"guard_m": control.guard_m / 2**recoveries}) if recoveries else control
 
 
 def settled(target: Target, output: SlamOutput, config: GoalsConfig) -> bool:

@@ -22,6 +22,7 @@ from mecp_env.planning.navigator import (
     open_floor,
     plan,
     plan_through,
+    squeezed,
 )
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
@@ -142,9 +143,22 @@ def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
 def test_a_drive_that_takes_too_long_is_refused() -> None:
     toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
     navigator = started(target(toy, 4.5, 3.2), limit_steps=3)
-    for _ in range(5):
-        toy.move(*navigator.step(toy.output()))
+    while navigator.outcome == Outcome.RUNNING:
+        navigator.step(toy.output())  # the robot does not move
+        navigator.best_step = navigator.steps  # and does not know that it is stuck
+    assert navigator.steps == 3 + navigator.way_steps + 1
     assert navigator.outcome == Outcome.REFUSED
+
+
+def test_a_long_way_has_the_time_that_it_takes() -> None:
+    """In KTH floors every drive of more than 75 m was refused, three times."""
+    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
+    navigator = started(target(toy, 4.5, 3.2), limit_steps=12)
+    while navigator.outcome == Outcome.RUNNING:
+        toy.move(*navigator.step(toy.output()))
+    assert navigator.outcome == Outcome.REACHED
+    assert navigator.way_steps == math.ceil(math.dist((1.0, 1.0), (4.5, 3.2)) / 0.3)
+    assert navigator.steps > 12
 
 
 def test_a_navigator_in_mid_drive_can_be_copied() -> None:
@@ -192,6 +206,18 @@ def test_a_robot_that_is_too_near_may_move_away_only() -> None:
     wall = wall_ahead(0.25)
     assert not can_stop(wall, 0.2, 0.0, 0.4, CONTROL.record, BODY.record)
     assert can_stop(wall, -0.2, 0.0, 0.4, CONTROL.record, BODY.record)
+
+
+def test_a_robot_that_got_stuck_passes_a_gap_hardly_wider_than_itself() -> None:
+    """It had come into a KTH room through one, and gave up one goal after another there: 60 drives of 60 steps."""
+    control, body = ControlConfig(), PathsConfig()
+    half = body.radius_m + 0.6 * control.guard_m
+    posts = np.array([[0.1, half], [0.1, -half]])
+    speeds = [safe_command(0.5, 0.0, posts, squeezed(control, k).record, body.record)[0] for k in range(3)]
+    assert speeds[0] == 0.0
+    assert min(speeds[1:]) > 0.0
+    too_narrow = posts * (1.0, 0.9 * body.radius_m / half)
+    assert safe_command(0.5, 0.0, too_narrow, squeezed(control, 3).record, body.record) == (0.0, 0.0)
 
 
 def test_one_wild_beam_does_not_stop_the_robot() -> None:

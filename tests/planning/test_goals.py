@@ -19,6 +19,7 @@ from mecp_env.planning.goal_sources import (
     open_goals,
 )
 from mecp_env.planning.goals import (
+    Goal,
     GoalHistory,
     GoalKind,
     Goals,
@@ -253,6 +254,13 @@ def test_refused_thrice_or_visited_in_vain_is_given_up(toy: Toy) -> None:
             history.record(found, 0, ended, limits)
         assert len(find_goals(toy.output(), history, CONFIG)) == 0
         assert [drive.closed for drive in history.drives] == [True]
+
+
+@pytest.mark.parametrize("kind", [GoalKind.OPEN, GoalKind.CANDIDATE, GoalKind.FRONTIER, GoalKind.DOOR])
+def test_an_open_edge_is_visited_once_and_all_else_again(kind: GoalKind) -> None:
+    goals, history = Goals.of([Goal(kind, 1.0, 1.0, 1.0, 0)]), GoalHistory()
+    assert history.record(goals, 0, Outcome.REACHED, CONFIG.goals).closed == (kind == GoalKind.OPEN)
+    assert history.record(goals, 0, Outcome.REACHED, CONFIG.goals).closed
 
 
 @pytest.mark.parametrize("kind", [GoalKind.CANDIDATE, GoalKind.DOOR])
