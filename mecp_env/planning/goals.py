@@ -207,23 +207,33 @@ def nearest(drives: list[Drive], place: tuple[float, float], apart_m: float) -> 
 def find_goals(output: SlamOutput, history: GoalHistory, config: PlanningConfig) -> Goals:
     """All goals of a step that can be reached and are not closed in the history; see `Goals` for their order.
 
-    Where none can be reached, the gaps that nothing explains; then the candidates and doors out of reach: no episode
-    ends while one remains. While the pose is searched for, all are tried again when none is left.
+    Where none can be reached, the candidates and doors out of reach: no episode ends while one remains. While the pose
+    is searched for, all are tried again when none is left.
     """
     history.notice(output)
     if not output.grid.label.size:
         return Goals()
     context = GoalContext.of(output)
     goals = without_closed(find_everything(context, history.entry, config.goals), history, config.goals)
-    found = reachable(goals, output, config)
-    if not found:
-        gaps = not_visited(gap_goals(context, config.goals), history, config.goals)
-        found = reachable(gaps, output, config) or out_of_reach(goals, output.belief.T_map_robot)
+    found = with_gaps(reachable(goals, output, config), context, history, config)
+    found = found or out_of_reach(goals, output.belief.T_map_robot)
     if not found and history.searching and history.drives:
         history.drives = []
         return find_goals(output, history, config)
     goals = with_levels(found, output, history)
     return Goals.of(in_order(goals, output.graph.resolve(output.graph.current)))
+
+
+def with_gaps(found: list[Goal], context: GoalContext, history: GoalHistory, config: PlanningConfig) -> list[Goal]:
+    """The goals, and the gaps that nothing explains: of the robot's room when it has no other goal but doors, as it is
+    completed before the next, and of all rooms when none has.
+    """
+    output = context.slam_output
+    here = output.graph.resolve(output.graph.current)
+    if any(goal.room == here and goal.kind in LOCAL for goal in found):
+        return found
+    gaps = not_visited(gap_goals(context, config.goals), history, config.goals)
+    return found + reachable([gap for gap in gaps if gap.room == here or not found], output, config)
 
 
 def complete_rooms(goals: Goals, history: GoalHistory, graph: RoomGraph) -> tuple[int, ...]:
