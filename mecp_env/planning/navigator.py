@@ -210,7 +210,9 @@ class Navigator:
             self.best_left_m, self.best_step = left, self.steps
         if self.steps - self.best_step >= config.navigator.stuck_steps:
             return self._recover(output)
-        control, body, laser = squeezed(config.control, self.recoveries), config.paths, output.T_robot_laser
+        last_try = self.recoveries == config.navigator.recoveries > 0
+        control = squeezed(config.control) if last_try else config.control
+        body, laser = config.paths, output.T_robot_laser
         command = follow(self.path, output.belief.T_map_robot, output.beams, control, body, laser)
         self.command = coast(command, self.command, output.beams, control, body, laser)
         return self.command
@@ -236,12 +238,12 @@ class Navigator:
 
 
 @lru_cache(REMEMBERED)
-def squeezed(control: ControlConfig, recoveries: int) -> ControlConfig:
-    """The controller of a robot that got stuck so often on its way: each time it keeps half as far off what is seen.
+def squeezed(control: ControlConfig) -> ControlConfig:
+    """The controller of a robot that got stuck again and again on its way: it keeps half as far off what is seen.
 
     It can then leave a place that it came into through a gap hardly wider than itself.
     """
-    return control.model_copy(update={"guard_m": control.guard_m / 2**recoveries}) if recoveries else control
+    return control.model_copy(update={"guard_m": control.guard_m / 2.0})
 
 
 def settled(target: Target, output: SlamOutput, config: GoalsConfig) -> bool:

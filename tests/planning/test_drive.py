@@ -213,11 +213,10 @@ def test_a_robot_that_got_stuck_passes_a_gap_hardly_wider_than_itself() -> None:
     control, body = ControlConfig(), PathsConfig()
     half = body.radius_m + 0.6 * control.guard_m
     posts = np.array([[0.1, half], [0.1, -half]])
-    speeds = [safe_command(0.5, 0.0, posts, squeezed(control, k).record, body.record)[0] for k in range(3)]
-    assert speeds[0] == 0.0
-    assert min(speeds[1:]) > 0.0
     too_narrow = posts * (1.0, 0.9 * body.radius_m / half)
-    assert safe_command(0.5, 0.0, too_narrow, squeezed(control, 3).record, body.record) == (0.0, 0.0)
+    assert safe_command(0.5, 0.0, posts, control.record, body.record) == (0.0, 0.0)
+    assert safe_command(0.5, 0.0, posts, squeezed(control).record, body.record)[0] > 0.0
+    assert safe_command(0.5, 0.0, too_narrow, squeezed(control).record, body.record) == (0.0, 0.0)
 
 
 def test_one_wild_beam_does_not_stop_the_robot() -> None:
