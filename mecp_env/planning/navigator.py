@@ -97,6 +97,7 @@ NO_PATH = np.empty((0, 2))
 UNKNOWN = int(Cell.UNKNOWN)
 NEAR_M = 1.0  # what is nearer to the robot is no place to drive to
 LOOK_M, LOOK_DEG, KEEP_OFF_M = 3.0, 15.0, 0.6  # a look elsewhere: how far, how wide the way, how far from walls it ends
+SQUEEZE = 0.5  # of what a robot keeps off, it keeps off in its last try
 AHEAD = 0.3  # by which the way ahead is preferred to the way back
 
 
@@ -139,9 +140,8 @@ class Navigator:
         """Start a drive."""
         self.target, self.outcome = target, Outcome.RUNNING
         self.path = NO_PATH
-        self.steps = self.way_steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = (
-            self.dwelt
-        ) = 0
+        self.steps = self.planned = self.tries = self.recoveries = self.backing = self.best_step = self.dwelt = 0
+        self.way_steps = 0
         self.planned_version, self.best_left_m, self.command = -1, math.inf, STOP
 
     def step(self, output: SlamOutput) -> tuple[float, float]:
@@ -243,7 +243,7 @@ def squeezed(control: ControlConfig) -> ControlConfig:
 
     It can then leave a place that it came into through a gap hardly wider than itself.
     """
-    return control.model_copy(update={"guard_m": control.guard_m / 2.0})
+    return control.model_copy(update={"guard_m": SQUEEZE * control.guard_m})
 
 
 def settled(target: Target, output: SlamOutput, config: GoalsConfig) -> bool:

@@ -5,6 +5,7 @@ import math
 import pickle
 from dataclasses import replace
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, ne
 from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
 from mecp_env.planning.navigator import (
+    SQUEEZE,
     Navigator,
     Outcome,
     Target,
@@ -24,6 +26,7 @@ from mecp_env.planning.navigator import (
     plan_through,
     squeezed,
 )
+from mecp_env.slam.messages import MergedScan
 from tests.toy import BEARINGS, Toy, look, wall_distance
 
 CONTROL, BODY = ControlConfig(), PathsConfig()
@@ -138,6 +141,21 @@ def test_a_robot_that_is_held_backs_off_and_gives_up() -> None:
     assert navigator.recoveries == PlanningConfig().navigator.recoveries + 1
     assert any(v < 0.0 for v, _ in commands)
     assert len(commands) < 100
+
+
+def test_only_the_last_try_of_a_robot_that_is_held_keeps_less_far_off(monkeypatch: pytest.MonkeyPatch) -> None:
+    toy, guards = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False), dict[int, set[float]]()
+    navigator = started(target(toy, 4.5, 3.2))
+
+    def noted(path: np.ndarray, pose: np.ndarray, beams: MergedScan, control: ControlConfig, *more: Any) -> Any:
+        guards.setdefault(navigator.recoveries, set()).add(control.guard_m)
+        return follow(path, pose, beams, control, *more)
+
+    monkeypatch.setattr("mecp_env.planning.navigator.follow", noted)
+    while navigator.outcome == Outcome.RUNNING:
+        navigator.step(toy.output())  # the robot does not move
+    guard = CONTROL.guard_m
+    assert guards == {0: {guard}, 1: {guard}, 2: {guard}, 3: {SQUEEZE * guard}}
 
 
 def test_a_drive_that_takes_too_long_is_refused() -> None:

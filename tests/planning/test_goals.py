@@ -29,6 +29,7 @@ from mecp_env.planning.goals import (
     find_goals,
     levels_from,
     polygon_levels,
+    with_gaps,
 )
 from mecp_env.planning.navigator import Target, settled
 from mecp_env.slam.messages import EdgeLabel
@@ -141,6 +142,21 @@ def test_a_gap_that_nothing_explains_is_looked_at_when_nothing_else_is_left(toy:
     assert find_goals(known, GoalHistory(), CONFIG).kind.tolist() == [GoalKind.DOOR]
     assert settled(target, known, CONFIG.goals)
     assert gap_goals(GoalContext.of(with_gap(toy, edge=3)), CONFIG.goals) == []  # before a wall
+
+
+def test_gaps_of_the_robots_room_come_before_it_is_left_and_others_last(toy: Toy) -> None:
+    toy.T_world_robot = np.array([3.0, 2.0, 0.0])
+    toy.output()
+    inside, history = with_gap(toy, edge=1), GoalHistory()
+    door, elsewhere, here = (
+        Goal(kind, 1.0, 1.0, 1.0, room)
+        for kind, room in ((GoalKind.DOOR, 0), (GoalKind.FRONTIER, 1), (GoalKind.OPEN, 0))
+    )
+    for found, added in (([door], 1), ([elsewhere], 1), ([door, here], 0), ([], 1)):
+        assert len(with_gaps(found, GoalContext.of(inside), history, CONFIG)) == len(found) + added
+    outside = replace(inside, graph=make.graph(1, (0, 1)))
+    for found, added in (([door], 0), ([elsewhere], 0), ([], 1)):
+        assert len(with_gaps(found, GoalContext.of(outside), history, CONFIG)) == len(found) + added
 
 
 def test_what_was_looked_for_in_vain_in_one_room_is_a_goal_of_the_next(toy: Toy) -> None:

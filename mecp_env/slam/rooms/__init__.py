@@ -346,9 +346,9 @@ class RoomGraphEstimator:
         features.rows["room"][features.rows["room"] == old] = other
         self.rooms.remove(old)
         doors = [self._with_rooms_resolved(door) for door in self.door_map.doors]
-        # a gap that leads from a room to itself is not a door: it is inside the room
         passages = map(self._with_rooms_resolved, self.door_map.passages)
         self.door_map.passages = [one for one in passages if one.rooms[0] != one.rooms[1]]
+        # a gap that leads from a room to itself is not a door: it is inside the room
         middles = self.door_map.frames(belief)[:, :2].tolist()
         self.door_map.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
         self.door_map.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
