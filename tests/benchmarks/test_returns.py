@@ -48,6 +48,7 @@ def test_it_fails_where_a_better_policy_is_paid_less(monkeypatch: pytest.MonkeyP
 
 
 def test_policies_that_read_predictions_run_in_tasks_only() -> None:
+    pytest.importorskip("safetensors", reason="needs the extra rl, as a trained policy is among them")
     for name in SETTINGS:
         assert set(ACTING) <= set(returns.policies_of(name, Options())) or name not in TASKS
     assert not set(ACTING) & set(returns.policies_of("medium", Options()))
