@@ -1,8 +1,9 @@
-"""PPO that drives by velocities, in one file.
+"""PPO that drives by velocities, without or with memory (an LSTM), in one file.
 
     python agents/train_ppo.py --steps 1000000
+    python agents/train_ppo.py --steps 1000000 --lstm 128 --epochs 2 --out runs/recurrent_ppo.safetensors
 
-`mecp-env train ppo` is the same with checkpoints, resumption, and the best policy by validation.
+`mecp-env train ppo` and `recurrent_ppo` are the same with checkpoints, resumption, and the best policy by validation.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from mecp_env.core.files import write_atomic
 from mecp_env.policies.registry import INSTALL
 
 try:
+    from sb3_contrib import RecurrentPPO
     from stable_baselines3 import PPO
     from stable_baselines3.common.evaluation import evaluate_policy
     from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
@@ -27,7 +29,7 @@ try:
     from mecp_env.learning.encoder import ObservationEncoder
     from mecp_env.learning.environments import vectorise
     from mecp_env.learning.exported import weights_of
-    from mecp_env.learning.fits import DownsampledObservation
+    from mecp_env.learning.fits import downsampled
     from mecp_env.learning.learned import tensor_bytes
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
@@ -47,6 +49,7 @@ class Args:
     batch: int = 512  # steps per gradient step
     epochs: int = 3  # over the steps of an update
     discount: float = 0.995  # per control step
+    lstm: int = 0  # size of the memory; 0: none
     validation: int = 8  # buildings of the validation split in the evaluation at the end
     out: Path = Path("runs/ppo.safetensors")  # the weights
 
@@ -55,7 +58,7 @@ def make_env(args: Args, split: str) -> gym.Env[Any, Any]:
     """An environment with velocity commands."""
     where = {"difficulty": args.difficulty, "split": split, "start": "random", "max_steps": args.max_steps}
     env = gym.make("mecp_env/Rooms-v0", **where)
-    return DownsampledObservation(env, goals=False)
+    return downsampled(env, goals=False)
 
 
 def make_many(args: Args, count: int, split: str) -> VecMonitor:
@@ -63,11 +66,13 @@ def make_many(args: Args, count: int, split: str) -> VecMonitor:
     return VecMonitor(vectorise([partial(make_env, args, split)] * count))
 
 
-def main(args: Args, algorithm: Any = PPO, policy: str = "MultiInputPolicy", **policy_kwargs: Any) -> None:
+def main(args: Args) -> None:
     """Train, evaluate on the validation split, save the weights."""
+    memory = {"lstm_hidden_size": args.lstm} if args.lstm else {}
+    algorithm: Any = RecurrentPPO if args.lstm else PPO
     venv = VecNormalize(make_many(args, args.environments, "train"), norm_obs=False, gamma=args.discount)
     model = algorithm(
-        policy,
+        "MultiInputLstmPolicy" if args.lstm else "MultiInputPolicy",
         venv,
         learning_rate=lambda left: args.learning_rate * left,
         n_steps=args.rollout,
@@ -80,7 +85,7 @@ def main(args: Args, algorithm: Any = PPO, policy: str = "MultiInputPolicy", **p
             "log_std_init": -0.7,
             "features_extractor_class": ObservationEncoder,
             "features_extractor_kwargs": {"width": 32, "channels": 8, "attention": True},
-            **policy_kwargs,
+            **memory,
         },
         seed=args.seed,
         verbose=1,

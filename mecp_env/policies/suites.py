@@ -79,21 +79,11 @@ class Entry:
         """The sum of the figures, by which lines are sorted."""
         return float(sum(figure["value"] for figure in self.figures.values()))
 
-    @property
-    def shown(self) -> Any:
-        """The policy and its cells: lines in which these are equal repeat each other."""
-        return self.key, {task: cell(figure, ".3f") for task, figure in self.figures.items()}
-
     def label(self, several: bool) -> str:
         """The policy, the estimator where it has some ground truth, the file where `several` have that policy."""
         policy, estimator = self.key
         parts = [policy, estimator if estimator != "slam" else "", self.source if several else ""]
         return ", ".join(safe_name(part) for part in parts if part) + ("" if self.source else SUFFIX)
-
-    def cells(self, tasks: Sequence[str], about: Sequence[str]) -> list[str]:
-        """The figures of the tasks, and hours and seeds; a dash where nothing is known."""
-        figures = [cell(self.figures.get(task), ".3f") for task in tasks]
-        return figures + [f"{self.about[name]:g}" if name in self.about else "-" for name in about]
 
 
 def leaderboard(
@@ -107,19 +97,23 @@ def leaderboard(
     `references` are rows that the package contains; a line of a file that repeats one is left out. Hours and seeds have
     columns where any line has them. No name can add a line or a column.
     """
-    found = entries_of({"results": references}, metric, "")
-    for source, content in submissions.items():
-        known = [entry.shown for entry in found]
-        found += [entry for entry in entries_of(content, metric, source) if entry.shown not in known]
-    return table_of(sorted(found, key=lambda entry: entry.total, reverse=metric not in LESS_IS_BETTER))
-
-
-def table_of(found: Sequence[Entry]) -> str:
-    """The lines of a table in their order."""
-    tasks = list(dict.fromkeys(task for entry in found for task in entry.figures))
-    about = [name for name in TRAINING if any(name in entry.about for entry in found)]
-    counts = Counter(entry.key for entry in found)
-    lines = [[entry.label(counts[entry.key] > 1), *entry.cells(tasks, about)] for entry in found]
+    found: dict[str, Entry] = {}  # by what is shown of it
+    for source, content in ("", {"results": references}), *submissions.items():
+        for entry in entries_of(content, metric, source):
+            shown = {task: cell(figure, ".3f") for task, figure in entry.figures.items()}
+            found.setdefault(f"{entry.key} {shown}", entry)
+    entries = sorted(found.values(), key=lambda entry: entry.total, reverse=metric not in LESS_IS_BETTER)
+    tasks = list(dict.fromkeys(task for entry in entries for task in entry.figures))
+    about = [name for name in TRAINING if any(name in entry.about for entry in entries)]
+    counts = Counter(entry.key for entry in entries)
+    lines = [
+        [
+            entry.label(counts[entry.key] > 1),
+            *(cell(entry.figures.get(task), ".3f") for task in tasks),
+            *(f"{entry.about[name]:g}" if name in entry.about else "-" for name in about),
+        ]
+        for entry in entries
+    ]
     return markdown_table(["", *map(safe_name, tasks), *about], lines)
 
 

@@ -28,11 +28,10 @@ from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
     OVER_LIMITS,
     CoverageCurve,
-    EpisodeEnd,
+    EpisodeLog,
     EpisodeResult,
     EpisodeTask,
     Setting,
-    StepLog,
     is_complete,
     log_det,
     metrics,
@@ -66,14 +65,12 @@ FINAL |= {"periods": 9.0, "pose_error_final_m": 0.2, "landmarks": 4.0, "duplicat
 FINAL |= {"lost": False, "map_rmse_m": 0.01, "landmarks_false": 0.0}
 
 
-def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> EpisodeResult:
+def toy(policy: str, building: int, auc: float, estimator: str = "slam", terminated: bool = True) -> EpisodeResult:
     """An episode of which only the area under the curve matters."""
-    log = StepLog(lambda: np.zeros(6))
+    log = EpisodeLog(pose_errors_m=[0.1, 0.3], log_dets=[-30.0, -20.0], terminated=terminated, decisions=3)
     log.curve.add(0.0, 0, auc)
-    log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
     areas = dict.fromkeys(("coverage", "correct_coverage", *OVER_LIMITS.values()), auc)
-    end, final = EpisodeEnd(terminated=True, decisions=3, act_s=0.5), FINAL | areas
-    figures = metrics(log, end, final, 100)
+    figures = metrics(log, FINAL | areas, 100)
     return EpisodeResult(EpisodeTask(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
 
 
@@ -212,14 +209,6 @@ class Masked(Nearest):
         return 31
 
 
-def test_a_score_that_is_that_of_the_nearest_goal_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(tmp_path, f"{__name__}:Masked gain", episodes=1, max_steps=20) == 0
-    said = capsys.readouterr().err
-    assert "Masked chose an empty row in 100% of its decisions" in said
-    assert "gain chose" not in said
-    assert "nearest is not among the policies" in said  # with which they would be compared
-
-
 class NoAction(Nearest):
     """Returns no action."""
 
@@ -246,11 +235,16 @@ class Remembering(Nearest):
         return self.decisions
 
 
-def test_a_policy_that_reset_does_not_set_back_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(tmp_path, f"{__name__}:Remembering random_goal", episodes=1, max_steps=20) == 0
+def test_a_policy_is_told_of_what_makes_its_score_one_of_another_or_of_chance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, f"{__name__}:Masked {__name__}:Remembering gain", episodes=1, max_steps=20) == 0
     said = capsys.readouterr().err
+    assert "Masked chose an empty row in 100% of its decisions" in said
     assert "Remembering acted differently when the beginning of an episode was repeated" in said
-    assert "random_goal acted" not in said
+    assert "gain chose" not in said
+    assert "gain acted" not in said
+    assert "nearest is not among the policies" in said  # with which they would be compared
 
 
 def raising(error: BaseException, building: int) -> Callable[[EpisodeTask], EpisodeResult]:
@@ -324,11 +318,11 @@ def test_each_row_is_compared_with_the_reference_and_with_itself_unsure() -> Non
 
 
 def test_complete_is_found_seen_and_ended_by_itself() -> None:
-    final = {"rooms": 3.0, "rooms_found": 3.0, "doors": 2.0, "doors_found": 2.0, "coverage": 0.97, "lost": False}
-    assert is_complete(EpisodeEnd(terminated=True), final)
-    assert not is_complete(EpisodeEnd(terminated=False), final)
-    for lacking in ({"rooms_found": 2.0}, {"doors_found": 1.0}, {"coverage": 0.94}, {"lost": True}):
-        assert not is_complete(EpisodeEnd(terminated=True), final | lacking)
+    assert toy("a", 0, 0.97).figures["complete"]
+    assert not toy("a", 0, 0.97, terminated=False).figures["complete"]
+    assert is_complete(FINAL | {"coverage": 0.97})
+    for lacking in ({"rooms_found": 2.0}, {"doors_found": 2.0}, {"coverage": 0.94}, {"lost": True}):
+        assert not is_complete(FINAL | {"coverage": 0.97} | lacking)
 
 
 def test_the_log_det_is_that_of_the_matrix() -> None:
@@ -357,7 +351,7 @@ def test_the_page_has_a_line_per_row_with_intervals() -> None:
     text = page(evaluation.figures(evaluation.rows(), ""))
     assert "| nearest | 0.500 [-] |" in text
     assert "| x, pose known | 0.600" in text
-    assert "1 buildings of the validation split of `easy`" in text
+    assert "1 buildings: easy, split validation" in text
 
 
 def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(

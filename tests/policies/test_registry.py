@@ -86,12 +86,6 @@ def test_a_name_of_no_policy_that_can_be_made_says_why(name: str, said: str) -> 
         make_policy(name)
 
 
-@pytest.mark.parametrize("raised", [ValueError("boom"), SystemExit("boom")])
-def test_what_a_policy_raises_names_it(raised: BaseException) -> None:
-    with pytest.raises(ConfigError, match=r"my:Own' .*boom"), registry.calls_of("my:Own"):
-        raise raised
-
-
 def test_a_file_below_the_working_directory_names_its_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / "deep").mkdir()
     for file in ("own_file.py", "2nd own-file.py"):
