@@ -11,8 +11,8 @@ from typing import Any, SupportsFloat
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import LayoutError
@@ -32,6 +32,7 @@ KEPT = (
     *("pose_error_final_m", "pose_rmse_m", "nees_mean"),
 )
 MOST_WORKERS = 8  # of an evaluation
+MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for the scale of the rewards
 REWARDS = tuple(f"reward_{term}" for term in TERMS)
 CUSTOM = "reward_custom"  # of all terms that the user has registered
 FIGURES = (
@@ -169,29 +170,25 @@ def make_validation_env(config: TrainConfig, index: int, buildings: Sequence[int
     return FixedBuildings(make_env(config, index, "validation"), buildings, config.buildings.layout is None)
 
 
-class TimedVecEnv(VecEnvWrapper):
-    """Measures how long the learner waits for the environments."""
+class Rewards(VecNormalize):
+    """Divides rewards by the running deviation of the return, and measures how long the learner waits."""
 
-    def __init__(self, venv: VecEnv) -> None:
-        super().__init__(venv)
-        self.waited_s = 0.0
-
-    def reset(self) -> VecEnvObs:
-        return self.venv.reset()
+    waited_s = 0.0
 
     def step_wait(self) -> VecEnvStepReturn:  # `step_async` only keeps the actions
         start = time.perf_counter()
-        step = self.venv.step_wait()
+        step = super().step_wait()
         self.waited_s += time.perf_counter() - start
         return step
 
 
-def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:
+def make_many(config: TrainConfig, seed: int) -> Rewards:
     """The environments of a run, seeded."""
     makers = [partial(make_env, config, index) for index in range(config.environments)]
     venv = vectorise(makers, config.workers, computing=config.actions == "velocity")  # goals have processes anyway
     venv.seed(seed)
-    return TimedVecEnv(venv)
+    gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
+    return Rewards(venv, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
 
 
 def make_validation(config: TrainConfig) -> VecEnv:

@@ -19,7 +19,6 @@ import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import merge
 from mecp_env.core.carriers import Bools, Bytes
 from mecp_env.core.errors import ConfigError, MecpError
-from mecp_env.core.settings import guess
 from mecp_env.episode.actions import make_actions
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.policies import active
@@ -148,40 +147,57 @@ def fit(observations: Space, actions: Space, name: str, normalised: bool = False
     """
     kind = next((word for word, ours in ACTIONS.items() if actions == ours), None)
     if kind is None:
-        raise unfit(name, "the actions", actions, {f"actions={word!r}": ours for word, ours in ACTIONS.items()})
-    if isinstance(observations, spaces.Dict):
-        return Fit(kind, dict_settings(observations, kind, name, normalised))
-    arrays = {str(settings): space_of(kind, **settings) for settings in ONE_ARRAY}
-    for (settings, ours), last in product(zip(ONE_ARRAY, arrays.values(), strict=True), (False, True)):
-        shape = ours.shape or ()
-        if isinstance(observations, spaces.Box) and observations.shape == ((*shape[1:], *shape[:1]) if last else shape):
-            check_bounds("the observation", observations, ours, name, normalised)
+        raise unfit(name, "the actions", actions, {f" with actions={word!r}": ours for word, ours in ACTIONS.items()})
+    asked = (settings_of(observations),) if isinstance(observations, spaces.Dict) else ONE_ARRAY
+    for settings, last in product(asked, (False, True)):
+        if is_same(observations, space_of(kind, **settings), last, normalised):
             return Fit(kind, with_known_ground(settings), channels_last=last)
-    raise unfit(name, "the observation", observations, {f"observation={text}": ours for text, ours in arrays.items()})
+    have = {f" with observation={settings}": space_of(kind, **settings) for settings in asked}
+    raise unfit(name, "the observation", observations, have)
 
 
 def unfit(name: str, what: str, theirs: Space, ours: Mapping[str, Space]) -> ConfigError:
     """The error of a model with a space that no environment has; `ours` by the option that selects each."""
-    have = ", ".join(
-        f"{in_words(space)} with {option}" if option else in_words(space) for option, space in ours.items()
-    )
+    have = ", ".join(f"{in_words(space)}{option}" for option, space in ours.items())
     return ConfigError(
         f"policy: {name} was trained on {what} {in_words(theirs)}; environments have {have}; what wrappers change in "
         f"training, as by stacking frames, a class repeats ({OTHERS})"
     )
 
 
-def check_bounds(what: str, theirs: Any, ours: Any, name: str, normalised: bool) -> None:
-    """Raise `ConfigError` for values that a wrapper changed in training: the model would see others here."""
-    if not normalised and (theirs.low.min(), theirs.high.max()) != (ours.low.min(), ours.high.max()):
-        raise unfit(name, what, theirs, {"": ours})
-
-
 def in_words(space: Space) -> str:
     """A space without the bounds of each of its numbers."""
+    if isinstance(space, spaces.Dict):
+        return f"Dict({', '.join(f'{part} {in_words(inner)}' for part, inner in space.items())})"
     if not isinstance(space, spaces.Box):
         return f"{space!s:.200}"
     return f"Box({space.low.min():g}, {space.high.max():g}, {space.shape}, {space.dtype})"
+
+
+def settings_of(theirs: spaces.Dict) -> dict[str, Any]:
+    """The fields with which an observation has the parts of a model, or more."""
+    goals = theirs.spaces["goals"].shape if "goals" in theirs.spaces else None
+    uncertainty = TRUST in theirs.spaces or (goals is not None and goals[-1:] > (COLUMNS,))
+    asked = {part: True for part in ON_REQUEST if part in theirs.spaces}
+    return asked | ({"uncertainty": True} if uncertainty else {})
+
+
+def is_same(theirs: Space, ours: Any, last: bool, normalised: bool) -> bool:
+    """True for arrays of one shape and with the same bounds, unless `normalised`; of parts, each of them is in ours.
+
+    Other bounds are those of a wrapper: the model would see other values here. `last`: with the first axis of ours at
+    the end. The shape and the bounds of a scan are the laser's, which the model does not select.
+    """
+    if isinstance(theirs, spaces.Dict) and isinstance(ours, spaces.Dict):
+        own = [(space, ours.spaces.get(part)) for part, space in theirs.items() if part != "scan"]
+        return not last and all(is_same(their, our, last, normalised) for their, our in own)
+    return isinstance(theirs, spaces.Box) and isinstance(ours, spaces.Box) and same_box(theirs, ours, last, normalised)
+
+
+def same_box(theirs: spaces.Box, ours: spaces.Box, last: bool, normalised: bool) -> bool:
+    """The same for arrays."""
+    bounds = normalised or (theirs.low.min(), theirs.high.max()) == (ours.low.min(), ours.high.max())
+    return bounds and theirs.shape == ((*ours.shape[1:], *ours.shape[:1]) if last else ours.shape)
 
 
 def choices_of(actions: str) -> int:
@@ -197,30 +213,6 @@ def space_of(actions: str, **observation: Any) -> Space:
     space: Space = env.observation_space
     env.close()
     return space
-
-
-def dict_settings(theirs: spaces.Dict, actions: str, name: str, normalised: bool) -> dict[str, Any]:
-    """The fields with which an observation has the parts of a model, or more. Raises `ConfigError`.
-
-    The bounds of a scan are the laser's, which the model does not select.
-    """
-    parts = theirs.spaces
-    goals = parts["goals"].shape if "goals" in parts else None
-    uncertainty = TRUST in parts or (goals is not None and goals[-1:] > (COLUMNS,))
-    asked = {part: True for part in ON_REQUEST if part in parts}
-    ours: Any = space_of(actions, uncertainty=uncertainty, **asked)
-    for part, space in parts.items():
-        if part not in ours.spaces:
-            raise ConfigError(
-                f"policy: {name} was trained on the part {part!r}; environments have {', '.join(ours.spaces)}, "
-                f"on request {', '.join((*ON_REQUEST, TRUST))}{guess(part, ours.spaces)}"
-            )
-        if part == "scan":
-            continue
-        if not isinstance(space, spaces.Box) or space.shape != ours[part].shape:
-            raise unfit(name, part, space, {"": ours[part]})
-        check_bounds(part, space, ours[part], name, normalised)
-    return with_known_ground(asked | ({"uncertainty": True} if uncertainty else {}))
 
 
 def with_known_ground(observation: dict[str, Any]) -> dict[str, Any]:

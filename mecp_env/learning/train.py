@@ -12,8 +12,8 @@ import signal
 import sys
 import time
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import closing, suppress
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +28,7 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.logger import CSVOutputFormat, Logger, TensorBoardOutputFormat
 from stable_baselines3.common.on_policy_algorithm import OnPolicyAlgorithm
 from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file
-from stable_baselines3.common.vec_env import VecEnv, VecNormalize
+from stable_baselines3.common.vec_env import VecEnv
 
 import mecp_env
 from mecp_env.core import processes
@@ -37,14 +37,13 @@ from mecp_env.core.files import write_atomic
 from mecp_env.core.provenance import commit
 from mecp_env.learning.config import CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.encoder import make_model
-from mecp_env.learning.environments import FIGURES, TimedVecEnv, make_env, make_many, make_validation
+from mecp_env.learning.environments import FIGURES, Rewards, make_env, make_many, make_validation
 from mecp_env.learning.exported import MOST_UNPACKED, check_archive, check_finite
 from mecp_env.learning.learned import save_policy, write_json
 from mecp_env.learning.sb3_batch import OptionCallback
 from mecp_env.render.progress import Bar
 
 ENDS = signal.SIGINT, signal.SIGTERM  # Ctrl-C, and what a scheduler of a cluster sends
-MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for the scale of the rewards
 PACKAGES = ("gymnasium", "numpy", "numba", "pymunk", "torch", "stable-baselines3", "sb3-contrib", "safetensors")
 ABOUT = "run.json"
 CLOCK = ("decisions", "periods", "episodes", "seconds")
@@ -63,13 +62,11 @@ def train(config: TrainConfig, folder: Path, resume: bool = False) -> bool:
     if not resume and (folder / CONFIG).exists():
         raise ConfigError(f"out: {folder} has a run already; --resume {folder} continues it")
     torch.set_num_threads(1)  # several meet at the end of every operation: slower where a core is shared
-    with closing(make_many(config, config.seed)) as timed:
-        gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
-        venv = VecNormalize(timed, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
+    with closing(make_many(config, config.seed)) as venv:
         model = make_model(config, venv, config.seed)
         processes.keep()  # of an update; the workers are not meant
-        with Run(config, folder, timed) as run:
-            run.resume(model, venv) if resume else begin(config, folder, "begun")
+        with Run(config, folder, venv) as run:
+            run.resume(model) if resume else begin(config, folder, "begun")
             return run.learn(model)
 
 
@@ -119,7 +116,10 @@ def load_checkpoint(path: Path, model: OnPolicyAlgorithm) -> TrainingState:
         state = TrainingState(**parts.pop("state"))
         model.set_parameters(parts, exact_match=True, device="cpu")
     except Exception as error:  # damaged bytes may raise anything
-        raise WeightError(f"{path}: damaged, or not a checkpoint: {' '.join(str(error).split()):.300}") from None
+        raise WeightError(
+            f"{path}: damaged, or not a checkpoint ({' '.join(str(error).split()):.200}); remove it, and the run "
+            "continues from the one before"
+        ) from None
     model.num_timesteps = state.decisions
     return state
 
@@ -156,9 +156,9 @@ class Run(BaseCallback):
 
     model: OnPolicyAlgorithm
 
-    def __init__(self, config: TrainConfig, folder: Path, timed: TimedVecEnv) -> None:
+    def __init__(self, config: TrainConfig, folder: Path, venv: Rewards) -> None:
         super().__init__()
-        self.config, self.folder, self.timed = config, folder, timed
+        self.config, self.folder, self.venv = config, folder, venv
         self.state, self.stop = TrainingState(), False  # after `stop` the training ends
         self.bar, self.found = Bar(config.steps), "starting"
         self.loggers: list[Logger] = []  # of updates, of evaluations
@@ -174,35 +174,25 @@ class Run(BaseCallback):
         for resource in [*self.loggers, *([self.validation] if self.validation else [])]:
             resource.close()
 
-    def resume(self, model: OnPolicyAlgorithm, venv: VecNormalize) -> None:
-        """Continue from the newest valid checkpoint; damaged ones are skipped, and reported.
+    def resume(self, model: OnPolicyAlgorithm) -> None:
+        """Continue from the newest checkpoint; all draws follow from the seed and the decisions made.
 
-        All draws follow from the seed and the decisions made. Raises `WeightError` when none is valid, and
-        `ConfigError`, with nothing written, for fewer steps than the run has made; a finished run may have made a few
-        more, those of its last update.
+        Raises `WeightError` for a damaged one and `ConfigError` for fewer steps than the run has made, with nothing
+        written; a finished run may have made a few more, those of its last update.
         """
-        state = self.state = self._newest(model)
+        if found := checkpoints(self.folder):
+            self.state = load_checkpoint(found[-1], model)
+        state = self.state
         made, steps = state.decisions, self.config.steps
         if steps < made and steps != TrainConfig.build(read_config(self.folder / CONFIG)).steps:
             raise ConfigError(f"steps: {steps}, but the run in {self.folder} has made {made} decisions already")
-        venv.ret_rms.mean, venv.ret_rms.var, venv.ret_rms.count = *map(np.array, state.returns[:2]), state.returns[2]
+        returns = self.venv.ret_rms
+        returns.mean, returns.var, returns.count = *map(np.array, state.returns[:2]), state.returns[2]
         if made:
             words = np.random.SeedSequence([self.config.seed, made]).generate_state(1)
             model.set_random_seed(int(words[0]) // 2)
         begin(self.config, self.folder, "resumed")
         self.bar.echo(f"resumed after {made:,} decisions" if made else "resumed from the beginning: no checkpoint yet")
-
-    def _newest(self, model: OnPolicyAlgorithm) -> TrainingState:
-        problem: WeightError | None = None
-        for path in reversed(checkpoints(self.folder)):
-            try:
-                return load_checkpoint(path, model)
-            except WeightError as error:
-                problem = error
-                self.bar.echo(f"skipped {error}")
-        if problem is not None:
-            raise problem
-        return TrainingState()
 
     def learn(self, model: OnPolicyAlgorithm) -> bool:
         """Train to the end, or until Ctrl-C or SIGTERM; then everything is saved."""
@@ -213,9 +203,13 @@ class Run(BaseCallback):
             self.loggers.append(Logger(str(self.folder), [table, *curves]))
         model.set_logger(self.loggers[0])
         self.advance()
-        with handled_by(self.end):
-            left = max(0, self.config.steps - self.state.decisions)
+        left = max(0, self.config.steps - self.state.decisions)
+        before = {number: signal.signal(number, self.end) for number in ENDS}
+        try:
             model.learn(left, callback=[OptionCallback(), self], reset_num_timesteps=False)
+        finally:
+            for number, handler in before.items():
+                signal.signal(number, handler)
         return not self.stop
 
     def end(self, number: int, _: Any) -> None:
@@ -232,7 +226,7 @@ class Run(BaseCallback):
     def _on_training_start(self) -> None:
         """Also at the end of every rollout."""
         self.start_s, self.start_periods = time.perf_counter(), self.state.periods
-        self.timed.waited_s = 0.0
+        self.venv.waited_s = 0.0
 
     def _on_rollout_start(self) -> None:
         begun, state, options = time.perf_counter(), self.state, self.config.log
@@ -257,7 +251,7 @@ class Run(BaseCallback):
     def _on_rollout_end(self) -> None:
         seconds = time.perf_counter() - self.start_s
         self.state.seconds += seconds
-        rate, waiting = (self.state.periods - self.start_periods) / seconds, self.timed.waited_s / seconds
+        rate, waiting = (self.state.periods - self.start_periods) / seconds, self.venv.waited_s / seconds
         self._on_training_start()
         for name, value in (self.clock() | {"periods_per_s": rate, "waiting_share": waiting}).items():
             self.logger.record(f"time/{name}", value)
@@ -275,9 +269,8 @@ class Run(BaseCallback):
         return self.state.model_dump(include=set(CLOCK))
 
     def save(self) -> None:
-        """Write a checkpoint, then remove the oldest ones. Raises `NotFiniteError` before anything is written."""
-        check_finite(self.model.policy)
-        returns = self.model.get_vec_normalize_env().ret_rms
+        """Write a checkpoint, then remove the oldest ones."""
+        returns = self.venv.ret_rms
         self.state.returns = float(returns.mean), float(returns.var), float(returns.count)
         buffer = io.BytesIO()
         save_to_zip_file(buffer, params=self.model.get_parameters() | {"state": self.state.model_dump()})
@@ -336,14 +329,3 @@ def in_words(figures: dict[str, float]) -> str:
     pose = f"pose error {100.0 * figures['pose_error_final_m']:.1f} cm, coverage {figures['coverage']:.1%}"
     score = f"correct coverage over steps {figures['correct_over_steps']:.4f}"
     return f"area under the curve {figures['auc']:.4f}{error}, {pose}, {score}"
-
-
-@contextmanager
-def handled_by(handler: Callable[[int, Any], Any]) -> Iterator[None]:
-    """Within it that function handles Ctrl-C and SIGTERM."""
-    before = {number: signal.signal(number, handler) for number in ENDS}
-    try:
-        yield
-    finally:
-        for number, previous in before.items():
-            signal.signal(number, previous)

@@ -46,12 +46,10 @@ def test_the_example_selects_as_the_policy_of_the_package() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("line", ["train_maskable_ppo", "train_ppo", "train_ppo --lstm 8"])
-def test_training_ends_with_weights(launcher: Launcher, line: str, tmp_path: Path) -> None:
+def test_training_ends_with_weights(launcher: Launcher, tmp_path: Path) -> None:
     pytest.importorskip("sb3_contrib")
-    name, *options = f"{line} {SMALL} --out {tmp_path / 'w.safetensors'}".split()
-    printed = run_script(launcher, name, tmp_path, *options)
-    assert "on the validation split" in printed
+    options = f"{SMALL} --out {tmp_path / 'w.safetensors'}"
+    assert "on the validation split" in run_script(launcher, "train_maskable_ppo", tmp_path, *options.split())
     assert (tmp_path / "w.safetensors").stat().st_size > 10_000
 
 
@@ -73,7 +71,7 @@ def test_the_first_training_writes_model_and_curve(
     assert (tmp_path / "curve.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "first"])
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "first"])
 def test_without_stable_baselines_a_script_says_in_one_line_what_to_install(algorithm: str, tmp_path: Path) -> None:
     for name in ("stable_baselines3", "sb3_contrib"):
         (tmp_path / f"{name}.py").write_text(f"raise ModuleNotFoundError('none', name={name!r})")

@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,7 +27,6 @@ from mecp_env.policies.report import cell, page
 from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
     OVER_LIMITS,
-    CoverageCurve,
     EpisodeLog,
     EpisodeResult,
     EpisodeTask,
@@ -78,29 +77,21 @@ def test_an_episode_follows_from_its_task_and_begins_where_all_others_do(tmp_pat
     tasks = [("random_goal", 0), ("random_goal", 0), ("random_goal", 1), ("bfs", 1), ("random_walk", 1)]
     first, again, *same = (run_episode(EpisodeTask(name, building, EASY)) for name, building in tasks)
     assert first.figures == again.figures
-    assert (first.curve.metres, first.curve.coverage) == (again.curve.metres, again.curve.coverage)
+    assert asdict(first.curve) == asdict(again.curve)
     assert first.curve.coverage[0] != same[0].curve.coverage[0]
     for figure in ("free_area_m2", "budget_m"):
         assert len({episode.figures[figure] for episode in same}) == 1
     assert len({episode.curve.coverage[0] for episode in same}) == 1
     read = KeptResults(tmp_path, EpisodeResult, {}).keep("x", first)  # through its file, bit for bit
     assert (read.task, read.figures, read.act_s) == (first.task, first.figures, first.act_s)
-    assert vars_of(read.curve) == vars_of(first.curve)
+    assert asdict(read.curve) == asdict(first.curve)
 
 
-def vars_of(curve: CoverageCurve) -> list[list[float]]:
-    return [curve.metres, curve.coverage, curve.steps]
-
-
-def same_in_every_run(result: dict[str, Any]) -> str:
-    """The part of a result that every repetition gives, as text."""
-    return json.dumps({name: result[name] for name in result.keys() - {"timing", "date", "command"}}, sort_keys=True)
-
-
-def contents(out: Path) -> tuple[str, bytes, bytes]:
+def contents(out: Path) -> tuple[Any, bytes, bytes]:
     """What the files of an evaluation say that every repetition gives."""
     result = json.loads((out / "results.json").read_text())
-    return same_in_every_run(result), (out / "episodes.csv").read_bytes(), (out / "curves.png").read_bytes()
+    repeated = {name: result[name] for name in result.keys() - {"timing", "date", "command"}}
+    return repeated, (out / "episodes.csv").read_bytes(), (out / "curves.png").read_bytes()
 
 
 @pytest.mark.slow
