@@ -145,6 +145,11 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
     seen, statistics = algorithm.observation_space, statistics_of(path)
+    if statistics is None and was_normalised(path, seen):
+        raise ConfigError(
+            f"policy: {path} was trained on observations that VecNormalize made, and its statistics are not beside it "
+            f"as {path.stem}_vecnormalize.pkl; venv.save(...) writes them"
+        )
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
     found = fit(seen, algorithm.action_space, str(path), statistics is not None)
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
@@ -186,6 +191,21 @@ def class_of(path: Path) -> str:
             f"{path}: not a model file of Stable-Baselines3, as model.save writes it: {error!r}"
         ) from None
     return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
+
+
+def was_normalised(path: Path, space: Any) -> bool:
+    """True for the file of a model whose observations `VecNormalize` made: the last ones, saved there, left the space.
+
+    Where only rewards were normalised, they are inside.
+    """
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    saved = load_from_zip_file(path, device="cpu")[0] or {}
+    last: Any = saved.get("_last_obs")
+    if last is None or saved.get("_last_original_obs") is None:
+        return False
+    rows = zip(*last.values(), strict=True) if isinstance(last, dict) else last
+    return not all(space.contains(dict(zip(last, row, strict=True)) if isinstance(last, dict) else row) for row in rows)
 
 
 def normalisation(place: Path) -> Callable[[Any], Any]:

@@ -114,6 +114,23 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
         load(model, trust=True)
 
 
+@pytest.mark.parametrize("kind", ["PPO", "DQN"])
+def test_a_model_of_vec_normalize_without_its_statistics_is_refused(kind: str, tmp_path: Path) -> None:
+    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
+
+    sizes = {"n_steps": 2, "batch_size": 2} if kind == "PPO" else {"buffer_size": 20, "learning_starts": 5}
+    plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
+    changed = VecNormalize(plain)
+    for env in (plain, VecNormalize(plain, norm_obs=False), changed):  # the second one changes rewards alone
+        getattr(stock, kind)("MlpPolicy", env, device="cpu", **sizes).learn(8).save(tmp_path / "model.zip")
+        if env is not changed:
+            assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+    with pytest.raises(ConfigError, match=r"VecNormalize made, .* beside it as model_vecnormalize\.pkl"):
+        load(tmp_path / "model.zip", trust=True)
+    changed.save(str(tmp_path / "model_vecnormalize.pkl"))
+    assert load(tmp_path / "model.zip", trust=True).actions == "discrete"
+
+
 def test_a_class_in_a_module_of_the_working_directory_is_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stable-Baselines3 saves where a class of the user is, not the class."""
     (tmp_path / "my_network.py").write_text(
