@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import to_map, wrap_angle
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metrics import AssociationLog
@@ -68,20 +68,11 @@ def map_nees(truth: GroundTruth, log: AssociationLog, belief: Filter, T_map_worl
     p_map = to_map(T_map_world, np.ascontiguousarray(truth.outline.corners.p_world[corner[slots]]))
     errors, m = mean[3:].reshape(-1, 2) - p_map, len(slots)
     blocks = cov[3:, 3:].reshape(m, 2, m, 2).transpose(0, 2, 1, 3)  # (m,m,2,2)
-    a, b = seen_together(log, belief.ids[slots])
-    apart = corner[slots[a]] != corner[slots[b]]  # duplicates are one corner
-    a, b = a[apart], b[apart]
+    step, _, feature, matched = log.rows[: log.used].T
+    seen = np.zeros((int(step.max(initial=0)) + 1, m))
+    rows, columns = np.nonzero((feature[:, None] == belief.ids[slots]) & (matched > 0)[:, None])
+    seen[step[rows], columns] = 1.0
+    together = np.triu(seen.T @ seen, 1) > 0  # both were matched in one scan
+    a, b = np.nonzero(together & (corner[slots][:, None] != corner[slots]))  # duplicates are one corner
     offsets = blocks[a, a] + blocks[b, b] - blocks[a, b] - blocks[b, a]
     return mean_nees(errors, blocks[np.arange(m), np.arange(m)]), mean_nees(errors[a] - errors[b], offsets)
-
-
-def seen_together(log: AssociationLog, ids: Ints) -> tuple[Ints, Ints]:
-    """Indices (k,), (k,) of all pairs of the landmarks ids (m,) that were matched in one scan, each pair once."""
-    step, _, feature, matched = log.rows[: log.used].T
-    slot = np.full(max(int(feature.max(initial=-1)), int(ids.max(initial=-1))) + 1, -1)
-    slot[ids] = np.arange(len(ids))
-    rows = np.flatnonzero((matched > 0) & (slot[feature] >= 0))
-    seen = np.zeros((int(step.max(initial=0)) + 1, len(ids)))
-    seen[step[rows], slot[feature[rows]]] = 1.0
-    a, b = np.nonzero(np.triu(seen.T @ seen, 1))
-    return a, b

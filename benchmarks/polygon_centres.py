@@ -40,7 +40,8 @@ class Centre:
     @property
     def variance_share(self) -> float:
         """Variance of the centre over the mean variance of the vertices: 1/k where those are independent."""
-        return float(np.trace(self.mean_cov) / np.trace(self.blocks, axis1=1, axis2=2).mean())
+        vertex, centre = self.sigmas_m
+        return (centre / vertex) ** 2
 
     @property
     def sigmas_m(self) -> tuple[float, float]:

@@ -56,7 +56,7 @@ def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
         lines = [f"{rows[0]},correct_over_steps", *(f"{row},{best}" for row in rows[1:])]
         (run / "evaluation.csv").write_text("\n".join(lines) + "\n")
     assert main(runs, tmp_path / "weights") == 0
-    assert read_run(runs[0]).area.tolist() == [0.7, 0.7]
+    assert read_run(runs[0]).columns[0].tolist() == [0.7, 0.7]
     assert (tmp_path / "weights" / "maskable_ppo" / "curve.png").stat().st_size > 1000
     assert main((runs[0], make_run(tmp_path / "c", [0.5])), tmp_path / "weights") == 2
 

@@ -46,7 +46,7 @@ TINY: dict[str, tuple[dict[str, Any], Patches]] = {  # options and patches, for 
         {"kidnap.SETS": {"two_rooms": 2}, "kidnap.AFTER": 3, "kidnap.BEFORE": 3, "kidnap.SHOWN": (0, 2)},
     ),
     "loop": ({"quick": True}, {"loop.SETS": {"two_rooms": 2}, "rough_pose.FIRST_SCAN": 2}),
-    "mutated": ({"quick": True}, {"mutated.KINDS": ("log csv", "SlamConfig"), "mutated.QUICK": 1}),
+    "mutated": ({"quick": True}, {"mutated.KINDS": ("run", "SlamConfig"), "mutated.QUICK": 1}),
     "paper_mode": ({"sets": ("two_rooms:2",)}, {"paper_mode.SETS": {"two_rooms": 2}}),
     "noise": ({}, {"noise.LAYOUT": "two_rooms", "noise.SETS": {"odometry_x1": 1, "view_180_deg": 1}}),
     "real": ({"sets": ("view_180_deg:2",)}, {"noise.LAYOUT": "two_rooms"}),
