@@ -11,7 +11,7 @@ from benchmarks.common import Figures, estimate
 from benchmarks.corner_scores import Preset, make_places, score_places
 from benchmarks.drives import Drive
 from benchmarks.features import SEED, THRESHOLDS, key_of, threshold
-from benchmarks.polygon_centres import in_the_map, in_the_scan
+from benchmarks.paper_plots import in_the_map, in_the_scan
 from benchmarks.records import IN_MEMORY, Records
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map

@@ -26,7 +26,7 @@ from scipy.stats import chi2
 from benchmarks import loop
 from benchmarks.batch import optimum
 from benchmarks.common import Figures, Options, estimate, ratio
-from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
+from benchmarks.drives import mean_nees, nees, rms, sigma_ratio
 from benchmarks.known_pairs import Sighting, filtered, in_order, measured
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_drives

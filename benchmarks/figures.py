@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 from benchmarks import paper_plots
 from benchmarks.common import Figures, Options
 from benchmarks.drives import Drive
-from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
+from benchmarks.paper_plots import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
 from benchmarks.tables import flatten, sections, table
 from mecp_env.core.carriers import Array, Ints

@@ -27,8 +27,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.common import Figures, Options, estimate, ratio, runs_of
-from benchmarks.drives import Drive
-from benchmarks.errors import WRONG_M, calibration_error, off, roc_area
+from benchmarks.drives import WRONG_M, Drive, calibration_error, off, roc_area
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
 from benchmarks.tables import columns_of, table, table_of

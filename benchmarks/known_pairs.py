@@ -8,8 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.drives import Drive
-from benchmarks.errors import nees
+from benchmarks.drives import Drive, nees
 from benchmarks.rough_pose import front_end
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import between, compose, inverse, to_map, to_robot, wrapped

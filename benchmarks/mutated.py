@@ -1,17 +1,14 @@
-"""Mutated inputs: maps, replay pages, results, runs and keywords, each a sound one that was changed at random.
+"""Mutated inputs: keywords of `make` and `reset`, actions, and fields of `SlamConfig`, with values of any kind.
 
-An input ends in a typed error (`MecpError` or Gymnasium's own), or gives a right result: a map that goes on,
-observations in their space. Everything else is a fault: a raw exception, more than 10 s of processor time, more than
-1 GB of memory. Every fault is listed with what makes it again. Logs, plans and the fields of maps, which older results
-have, are mutated by the tests.
+An input ends in a typed error (`MecpError` or Gymnasium's own), or gives a right result: observations in their space, a
+finite pose. Everything else is a fault: a raw exception, more than 10 s of processor time, more than 1 GB of memory.
+Every fault is listed with what makes it again. Files, which older results have, are mutated by the tests.
 """
 
 from __future__ import annotations
 
-import json
 import re
 import signal
-import tempfile
 import time
 import traceback
 import warnings
@@ -21,23 +18,21 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from functools import cache
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
-from benchmarks import mutated_keywords
 from benchmarks.common import Figures, Options, in_parallel
-from benchmarks.mutated_keywords import mapped
 from benchmarks.tables import listed, whole_rows
-from mecp_env.cli.demo import recipe_of
-from mecp_env.config import EnvConfig
+from mecp_env.config import EnvConfig, merge
 from mecp_env.core.errors import MecpError
-from mecp_env.policies.suites import FORMAT, METRICS, SUITES, VERSION, checksum_of, leaderboard, read_submission
-from mecp_env.render.replay_page import read_page, write_page
-from mecp_env.slam import SlamPipeline
-from tests.floorplans.mutations import spoilt_bytes, spoilt_json
-from tests.slam.drives import fed
+from mecp_env.floorplans.options import PlanOptions
+from mecp_env.slam import SlamConfig, SlamPipeline
+from mecp_env.world.config import GeneratorSpec
+from mecp_env.world.layout import LIBRARY
+from tests.floorplans.mutations import VALUES
+from tests.slam.drives import Drive, fed, scripted_drive
 
 PER_KIND, QUICK = 92, 2
 MOST_S, MOST_MB, HANGS_S = 10.0, 1000.0, 60
@@ -45,78 +40,138 @@ SEED = 39_005
 TYPED = MecpError, gym.error.Error
 STATUS, FORGET_PEAK = Path("/proc/self/status"), Path("/proc/self/clear_refs")
 Rng = np.random.Generator
-
-
-class FileKind(NamedTuple):
-    """Files of a kind."""
-
-    name: str
-    sound: Callable[[Path], Any]  # writes one
-    spoil: Callable[[bytes, Rng], bytes]  # a mutated copy
-    use: Callable[[Path], Any]  # reads it, and checks what it gives
-
-
-def use_map(path: Path) -> None:
-    """Go on in a map, and write it again."""
-    pipeline = SlamPipeline.from_map(path)
-    *_, output = fed(pipeline, mapped()[0], 3, 7)
-    assert output.diverged or np.isfinite(output.belief.T_map_robot).all()
-    pipeline.save_map(path)
-
-
-def result() -> str:
-    """A result of a suite, of one episode."""
-    name, suite = next(iter(SUITES.items()))
-    setting = suite.settings[0]
-    figures = {metric: {"value": 0.5, "low": 0.4, "high": 0.6} for metric in METRICS}
-    row = {"task": setting.task or setting.difficulty, "policy": "mine", "estimator": "slam", "figures": figures}
-    row |= {"episodes": [{"building": 0} | dict.fromkeys(METRICS, 0.5)]}
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "suite": name, "hash": suite.frozen}
-    content |= {"command": "x", "commit": "", "hours": None, "seeds": None, "results": [row]}
-    return json.dumps(content | {"checksum": checksum_of(content)})
-
-
-def other_result(data: bytes, rng: Rng) -> bytes:
-    """A result with other values, and in most cases the checksum of these."""
-    text = spoilt_json(data, rng)
-    content = json.loads(text)
-    if not isinstance(content, dict) or rng.random() < 0.2:
-        return text
-    content.pop("checksum", None)
-    with suppress(ValueError, UnicodeEncodeError):
-        return json.dumps(content | {"checksum": checksum_of(content)}).encode()
-    return text
-
-
-def use_result(path: Path) -> None:
-    """Read a result, and print a table of it."""
-    assert leaderboard({path.name: read_submission(path)}).startswith("|")
-
-
-RECIPE = {"seed": 3, "policy": "breadth_first", "config": EnvConfig(max_steps=3).to_dict()}
-RUN = {"title": "a", "frames": [{"step": k, "pose": [k, 2, 3]} for k in range(2)]}
-FILES: dict[str, FileKind] = {
-    "map bytes": FileKind("map.zip", lambda path: mapped()[1].save_map(path), spoilt_bytes, use_map),
-    "replay page": FileKind(
-        "a.html", lambda path: write_page(RUN, path), spoilt_bytes, lambda path: write_page(read_page(path), path)
-    ),
-    "result": FileKind("a.json", lambda path: path.write_text(result()), other_result, use_result),
-    "run": FileKind(
-        "config.json",
-        lambda path: path.write_text(json.dumps(RECIPE)),
-        spoilt_json,
-        lambda path: EnvConfig.build(recipe_of(path.parent)["config"]),
-    ),
+STEPS = 5
+ODD: tuple[Any, ...] = (
+    *VALUES, b"x", object(), lambda: 0, {1, 2}, np.nan, np.float32(0.3), np.int8(3), np.zeros(3), np.array(2.0), 1j,
+    "slam", "goal", "flat", "paper", "two_rooms", (1.0, 2.0, 3.0), (0.5, 0.2), 2, 5, 0.3, 10.0, 100, 2**31, True, "0.1",
+    "nan", float("-inf"), np.datetime64("2020-01-01"), range(3), {"preset": "paper"}, {"kind": "ekf"}, {"x": {"y": 1}},
+    {1: 2}, "\0", "mecp", [None], type, 1e-300, -0.0,
+)  # fmt: skip
+FACTORS = (0.0, 0.1, 0.5, 0.9, 1.1, 2.0, 5.0, 50.0, -1.0)
+WORDS = (
+    "slam", "known", "truth", "goal", "velocity", "discrete", "flat", "image", "dict", "random", "layout", "riekf",
+    "ekf", "fej", "mecp", "mecp_paper", "jcbb", "ccda", "nearest", "paper", "urg04lx", "ideal", "skid_steer", "terms",
+    "always", "never", "adaptive", "fixed", "sensor", "unknown", "free", "per_step", "linear", "easy", "hard", "test",
+)  # fmt: skip
+IDS: dict[str, tuple[dict[str, Any], dict[str, Any]]] = {  # id -> what it needs, fields beside those of the environment
+    **dict.fromkeys(("Layout-v0", "PaperMap-v0"), ({}, {})),
+    **{
+        name: ({}, GeneratorSpec().model_dump() | {"difficulty": "", "split": ""})
+        for name in ("First-v0", "ActiveHalls-v0")
+    },
+    "Rooms-v0": ({"difficulty": "easy"}, GeneratorSpec().model_dump() | {"difficulty": "", "split": ""}),
+    "FloorPlan-v0": ({"plan": str(LIBRARY / "furnished.json")}, PlanOptions().model_dump() | {"plan": ""}),
 }
-KINDS = (*FILES, *mutated_keywords.CALLS)
+OPTIONS = ("building", "difficulty", "split", "start", "layout", "seed", "x")
+SEEDS: tuple[Any, ...] = (None, 0, 3, -1, 2**31, 2**64, 2**200, 1.5, "3", np.int64(4), np.nan, [], True)
+
+
+@cache
+def mapped() -> tuple[Drive, SlamPipeline]:
+    """A short drive, and the estimator after it."""
+    short, pipeline = scripted_drive(), SlamPipeline()
+    list(fed(pipeline, short, 0, 30))
+    return short, pipeline
+
+
+def leaves(fields: dict[str, Any], path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """The path of each field at any depth, with its value; sections are fields, too, with a value of None."""
+    found: list[tuple[tuple[str, ...], Any]] = []
+    for name, value in fields.items():
+        inside = isinstance(value, dict) and value
+        found += [((*path, name), None if inside else value)] + (leaves(value, (*path, name)) if inside else [])
+    return found
+
+
+def some(fields: dict[str, Any], rng: Rng) -> dict[str, Any]:
+    """One to three of the fields, at any depth, with other values; sometimes a name that is none."""
+    given: dict[str, Any] = {}
+    known = leaves(fields)
+    for _ in range(int(rng.integers(1, 4))):
+        (*sections, name), value = known[int(rng.integers(len(known)))]
+        wrong = rng.random() < 0.03
+        changed = {name[:-1] + "z" if wrong else name: nudged(value, rng) if rng.random() < 0.8 else odd(rng)}
+        for section in reversed(sections):
+            changed = {section: changed}
+        given = merge(given, changed)
+    return given
+
+
+def nudged(value: Any, rng: Rng) -> Any:
+    """A value of the same kind: a number that is somewhat or much different, the other truth value, another word."""
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return type(value)(value * float(rng.choice(FACTORS)))
+    if isinstance(value, tuple | list) and value:
+        return [nudged(item, rng) for item in value]
+    return str(rng.choice(WORDS))
+
+
+def odd(rng: Rng, choices: tuple[Any, ...] = ODD) -> Any:
+    """One of some values of any kind."""
+    return choices[int(rng.integers(len(choices)))]
+
+
+def use_make(rng: Rng) -> tuple[str, Callable[[], None]]:
+    """An environment with one to three other fields, and a few random steps of it."""
+    name = odd(rng, tuple(IDS))
+    needed, further = IDS[name]
+    fields = EnvConfig().model_dump() | further
+    if rng.random() < 0.1:
+        fields = {"config": "", "render_mode": "", "max_steps": 3}
+    given = needed | some(fields, rng)
+    if not isinstance(given.get("render_mode", ""), str):
+        del given["render_mode"]  # Gymnasium itself fails on other types before it calls us
+
+    def drive() -> None:
+        env = gym.make(f"mecp_env/{name}", disable_env_checker=True, **given)
+        observation, _ = env.reset(seed=1)
+        for _ in range(STEPS):
+            assert env.observation_space.contains(observation)
+            env.action_space.seed(int(rng.integers(2**31)))
+            observation, reward, *_ = env.step(env.action_space.sample())
+            assert np.isfinite(reward)
+        env.close()
+
+    return f"{name} {given!r:.200}", drive
+
+
+def use_reset(rng: Rng) -> tuple[str, Callable[[], None]]:
+    """A reset with an odd seed and options, and an odd action."""
+    env = gym.make("mecp_env/Rooms-v0", disable_env_checker=True, difficulty="easy", max_steps=20)
+    seed = odd(rng, SEEDS) if rng.random() < 0.5 else int(rng.integers(100))
+    kinds: list[Any] = [None, {"building": 2}, {odd(rng, OPTIONS): odd(rng)}, odd(rng)]
+    options = kinds[int(rng.choice(4, p=(0.3, 0.3, 0.3, 0.1)))]
+
+    def call() -> None:
+        observation, _ = env.reset(seed=seed, options=options)
+        assert env.observation_space.contains(observation)
+        env.step(odd(rng) if rng.random() < 0.5 else env.action_space.sample())
+
+    return f"seed {seed!r:.40} options {options!r:.100}", call
+
+
+def use_slam(rng: Rng) -> tuple[str, Callable[[], None]]:
+    """An estimator with odd fields, on a short drive."""
+    given = some(SlamConfig().model_dump(), rng)
+
+    def call() -> None:
+        *_, output = fed(SlamPipeline(given), mapped()[0], 0, 7)
+        assert output.diverged or np.isfinite(output.belief.T_map_robot).all()
+
+    return f"{given!r:.200}", call
+
+
+CALLS = {"make": use_make, "reset and step": use_reset, "SlamConfig": use_slam}
 
 
 def run(options: Options) -> Figures:
     """How inputs of each kind end, what the worst took, and the faults."""
-    units = [(kind, number) for kind in KINDS for number in range(QUICK if options.quick else PER_KIND)]
+    units = [(kind, number) for kind in CALLS for number in range(QUICK if options.quick else PER_KIND)]
     ends = in_parallel(end_of, dict[str, Any], units, options)
     pairs = list(zip(units, ends, strict=True))
-    rows = {kind: summary([end for unit, end in pairs if unit[0] == kind]) for kind in KINDS}
+    rows = {kind: summary([end for unit, end in pairs if unit[0] == kind]) for kind in CALLS}
     faulty = [text for unit, end in pairs if (text := fault_of(unit, end))]
     return {"kinds": rows, "all": summary(ends), "faults": dict(enumerate(faulty))}
 
@@ -140,35 +195,16 @@ def end_of(unit: tuple[str, int]) -> dict[str, Any]:
     """How an input of a kind ends, with its cost."""
     kind, number = unit
     rng = np.random.default_rng([SEED, zlib.crc32(kind.encode()), number])
-    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(action="ignore"):
+    with warnings.catch_warnings(action="ignore"):
         mapped()
-        what, call = prepared(kind, Path(folder), rng)
+        what, call = CALLS[kind](rng)
         with suppress(OSError):
             FORGET_PEAK.write_text("5")
         before, start = memory_mb("VmRSS"), time.process_time()
         with limit():
             end, said = outcome(call)
-    said = re.sub(r"0x[0-9a-f]+", "0x", f"{said} {what}".replace(folder, ""))
+    said = re.sub(r"0x[0-9a-f]+", "0x", f"{said} {what}")
     return {"end": end, "said": said, "seconds": time.process_time() - start, "mb": memory_mb("VmHWM") - before}
-
-
-def prepared(kind: str, folder: Path, rng: Rng) -> tuple[str, Callable[[], Any]]:
-    """A mutated input of a kind in words, and what uses it."""
-    if kind in mutated_keywords.CALLS:
-        return mutated_keywords.CALLS[kind](rng)
-    file = FILES[kind]
-    path = folder / file.name
-    path.write_bytes(file.spoil(sound_bytes(kind), rng))
-    return "", lambda: file.use(path)
-
-
-@cache
-def sound_bytes(kind: str) -> bytes:
-    """A sound file of a kind, made once in a process."""
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / FILES[kind].name
-        FILES[kind].sound(path)
-        return path.read_bytes()
 
 
 def outcome(call: Callable[[], Any]) -> tuple[str, str]:

@@ -18,8 +18,8 @@ import numpy as np
 from scipy.stats import kendalltau
 
 from benchmarks.common import Figures, Options, correlation, estimate, ratio
-from benchmarks.policy_runs import buildings_of, checked, rows_of
 from benchmarks.tables import table
+from benchmarks.uncertainty import buildings_of, checked, rows_of
 from mecp_env.core.carriers import Array
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.evaluation import Evaluation, Row

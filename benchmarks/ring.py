@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.errors import nees
+from benchmarks.drives import nees
 from benchmarks.known_pairs import Sighting, cycle, polar
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import to_robot, wrapped

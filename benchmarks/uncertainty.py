@@ -11,21 +11,23 @@ full estimator, over the greedy one, `next_best_view`. An episode is lost as in 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, OptionError, Options, estimate, share
+from benchmarks.common import Figures, OptionError, Options, chosen, estimate, in_parallel, share
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.policy_runs import buildings_of, checked, rows_of
 from benchmarks.tables import sections, table
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.evaluation import Evaluation, Row
+from mecp_env.policies.registry import make_policy
 from mecp_env.policies.report import cell
+from mecp_env.policies.rollout import EpisodeResult, run_episode
 from mecp_env.policies.setting import Setting
+from mecp_env.world.config import SPLITS
 
 TASK = "ActiveHalls-v0"
 POLICIES = ("nearest", "next_best_view", "gain", "pause", "returning", "stachniss")
@@ -49,6 +51,33 @@ DIFFERENCES = {  # heading of each; `over` only where the greedy policy is one o
     "price_known": "price of wrong correspondences",
     "over": f"over `{GREEDY}`",
 }
+
+
+MOST = len(SPLITS["test"])  # buildings
+
+
+def checked(policies: Sequence[str]) -> tuple[str, ...]:
+    """The names of policies, each once. Raises `ConfigError` for an unknown one."""
+    for policy in policies:
+        make_policy(policy)
+    return tuple(dict.fromkeys(policies))
+
+
+def buildings_of(options: Options, settings: Iterable[str], each: int) -> dict[str, int]:
+    """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
+    if options.buildings > MOST:
+        raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
+    counts = dict.fromkeys(settings, options.buildings or each)
+    return chosen(options.sets, counts, MOST) or counts
+
+
+def rows_of(evaluations: Mapping[str, Evaluation], options: Options) -> dict[str, list[Row]]:
+    """The rows of each evaluation, which has all its episodes then."""
+    tasks = [(name, task) for name, of in evaluations.items() for task in of.tasks()]
+    units = {f"{name} {task.setting.name} {task.name}": task for name, task in tasks}
+    for (name, _), result in zip(tasks, in_parallel(run_episode, EpisodeResult, units, options), strict=True):
+        evaluations[name].results.append(result)
+    return {name: of.rows() for name, of in evaluations.items()}
 
 
 def run(options: Options) -> Figures:

@@ -20,7 +20,7 @@ import numpy as np
 
 from benchmarks.batch import Optimum, optimum
 from benchmarks.common import Figures, OptionError, Options, shared_data
-from benchmarks.errors import rms, sigma_ratio
+from benchmarks.drives import rms, sigma_ratio
 from benchmarks.known_pairs import Motion, Record, Sighting, filtered, in_order
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array

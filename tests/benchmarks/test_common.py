@@ -94,22 +94,23 @@ def test_a_unit_that_fails_is_named_and_raised_when_the_others_are_finished(
 
 
 @pytest.fixture
-def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]:
+def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., types.ModuleType]:
     """Puts a benchmark in the place of another one; results and units go to a temporary folder."""
     monkeypatch.setattr(common, "RESULTS", tmp_path / "results")
     monkeypatch.setattr(common, "UNITS", tmp_path / "units")
     monkeypatch.setattr(common, "calibration_ms", lambda: 5.0)
 
-    def put(name: str, run: Callable[[Options], Any]) -> None:
+    def put(name: str, run: Callable[[Options], Any]) -> types.ModuleType:
         module = types.ModuleType(f"benchmarks.{name}")
         module.run = run  # type: ignore[attr-defined]
         monkeypatch.setitem(sys.modules, module.__name__, module)
+        return module
 
     return put
 
 
 def test_a_benchmark_in_units_writes_its_results_only_when_all_shards_are_there(
-    toy: Callable[..., None], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+    toy: Callable[..., types.ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
 ) -> None:
     toy("worlds", lambda options: {"sum": sum(common.in_parallel(cube, float, UNITS, options))})
     for number in (1, 2):
@@ -127,9 +128,11 @@ def test_a_benchmark_in_units_writes_its_results_only_when_all_shards_are_there(
     assert not kept.exists()  # another run measures again
 
 
-def test_the_command_writes_figures_and_page_and_gates_against_them(toy: Callable[..., None], tmp_path: Path) -> None:
-    speeds, results = iter([200.0, 100.0, 200.0, 200.0, 100.0]), tmp_path / "results"
-    toy("speed", lambda options: {"steps_per_s": next(speeds)})
+def test_the_command_writes_figures_and_page_and_gates_against_them(
+    toy: Callable[..., types.ModuleType], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    speeds, results = iter([200.0, 100.0, 200.0, 200.0, 100.0, 100.0]), tmp_path / "results"
+    module = toy("speed", lambda options: {"steps_per_s": next(speeds)})
     assert command.main(["speed", "--gate"]) == 1  # there is no baseline
     assert command.main(["speed", "--quick", "--json", str(tmp_path / "x.json")]) == 0
     assert not results.exists()
@@ -141,6 +144,9 @@ def test_the_command_writes_figures_and_page_and_gates_against_them(toy: Callabl
     assert "| steps_per_s | 200 |" in (results / "speed.md").read_text()
     assert command.main(["speed", "--gate"]) == 0
     assert command.main(["speed", "--gate"]) == 1
+    module.faults = lambda figures: ["too slow"]  # type: ignore[attr-defined]
+    assert command.main(["speed", "--quick"]) == 1
+    assert capsys.readouterr().err == "failed: too slow\n"
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import pytest
 from benchmarks import __main__ as command
 from benchmarks import figures
 from benchmarks.common import Options
-from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
+from benchmarks.paper_plots import Centre, in_the_map, in_the_scan
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import scripted_drive

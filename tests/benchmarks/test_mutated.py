@@ -5,14 +5,14 @@ import time
 
 import pytest
 
-from benchmarks import mutated, mutated_keywords
+from benchmarks import mutated
 from mecp_env.core.errors import ConfigError
 
 UNIT = ("SlamConfig", 1)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", mutated.KINDS)
+@pytest.mark.parametrize("kind", mutated.CALLS)
 def test_inputs_of_every_kind_end_well(kind: str) -> None:
     ends = [mutated.end_of((kind, number)) for number in range(1000, 1008)]
     assert not [end for end in ends if end["end"] == "raw" or end["seconds"] > mutated.MOST_S]
@@ -25,7 +25,7 @@ def test_an_untyped_error_is_a_fault(error: Exception, end: str, monkeypatch: py
     def fail() -> None:
         raise error
 
-    monkeypatch.setitem(mutated_keywords.CALLS, "SlamConfig", lambda _: ("what", fail))
+    monkeypatch.setitem(mutated.CALLS, "SlamConfig", lambda _: ("what", fail))
     found = mutated.end_of(UNIT)
     assert found["end"] == end
     assert bool(mutated.fault_of(UNIT, found)) == (end == "raw")
@@ -33,7 +33,7 @@ def test_an_untyped_error_is_a_fault(error: Exception, end: str, monkeypatch: py
 
 def test_what_hangs_or_takes_much_is_a_fault(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(mutated, "HANGS_S", 1)
-    monkeypatch.setitem(mutated_keywords.CALLS, "SlamConfig", lambda _: ("what", lambda: time.sleep(30.0)))
+    monkeypatch.setitem(mutated.CALLS, "SlamConfig", lambda _: ("what", lambda: time.sleep(30.0)))
     assert "more than 1 s" in mutated.fault_of(UNIT, mutated.end_of(UNIT))
     end = {"end": "right", "said": "", "seconds": 11.0, "mb": 0.0}
     assert "11 s" in mutated.fault_of(UNIT, end)
