@@ -14,7 +14,6 @@ from benchmarks.batch import library, measurement, optimum
 from benchmarks.common import OptionError, Options, shared_data
 from benchmarks.known_pairs import Motion, Record, Sighting, filtered, turned
 from mecp_env.core.se2 import compose, inverse
-from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.filters.models import left_jacobian
@@ -30,8 +29,10 @@ def ring_record(steps: int) -> Record:
     config, rng = FilterConfig(), np.random.default_rng(0)
     motions, sightings = list[Motion](), [Sighting(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))]
     for odometry, seen in islice(ring.drive(rng, ring.make_course()), steps):
-        arcs = [np.concatenate([part] * 4) / 4.0 for part in (odometry.increments, odometry.cov)]  # sideways noise, too
-        motions.append(Motion.of_odometry(Odometry(*arcs, False), config))
+        arcs = make.odometry(
+            np.tile(odometry.increments / 4.0, (4, 1)), cov=odometry.cov[0] / 4.0
+        )  # sideways noise, too
+        motions.append(Motion.of_odometry(arcs, config))
         common = 0.2 * np.sqrt(np.diag(seen.R))
         sightings.append(Sighting(seen.z, seen.R + np.outer(common, common), seen.ids))
     return Record(np.zeros(3), np.diag([1e-6, 1e-6, 1e-8]), motions, sightings)
