@@ -40,6 +40,7 @@ CHANGES: dict[str, dict[str, Any]] = {  # point -> what differs from the task
     **{f"range_{metres:g}_m": {"laser": {"max_range_m": metres}} for metres in RANGES_M},
 }
 BUILDINGS, QUICK_BUILDINGS = 50, 1
+MOST = len(SPLITS["test"])  # buildings
 SETS = tuple(CHANGES)
 QUICK = (BASE, "odometry_x8")
 METRIC = "correct_over_steps"
@@ -51,9 +52,6 @@ DIFFERENCES = {  # heading of each; `over` only where the greedy policy is one o
     "price_known": "price of wrong correspondences",
     "over": f"over `{GREEDY}`",
 }
-
-
-MOST = len(SPLITS["test"])  # buildings
 
 
 def checked(policies: Sequence[str]) -> tuple[str, ...]:
