@@ -15,6 +15,7 @@ in `loop`.
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -34,7 +35,7 @@ from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import Corners, MergedScan, Polygon
+from mecp_env.slam.messages import CornerKind, Corners, MergedScan, Polygon
 
 CORNERS, SPURIOUS = 20, 4
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -98,8 +99,10 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
     hit = rng.choice(np.flatnonzero(beams.hit), SPURIOUS, replace=False)
     range_m = beams.ranges[hit] * rng.uniform(*IN_FRONT, SPURIOUS)
     z = np.concatenate([corners.z[kept], np.column_stack([range_m, beams.bearings[hit]])])
-    donors, turns = rng.choice(kept, SPURIOUS), rng.integers(0, 4, SPURIOUS) * (math.pi / 2.0)
-    made, order = placed(corners, z, kept, donors, turns)
+    donors, quarters = rng.choice(kept, SPURIOUS), rng.integers(0, 4, len(z))[np.argsort(np.argsort(z[:, 1]))]
+    made, order = placed(corners, z, kept, donors, quarters[len(kept) :] * (math.pi / 2.0))
+    false = order >= len(kept)
+    made = replace(made, kind=np.where(false, int(CornerKind.CROSSING), made.kind), sites=made.sites | false)
     return made, np.concatenate([kept, np.full(SPURIOUS, -1)])[order]
 
 
