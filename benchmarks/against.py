@@ -8,6 +8,9 @@ Simulators of the extra `peers` are measured after that (`peers.py`).
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from pathlib import Path
+
 from benchmarks import peers
 from benchmarks.common import Figures, Options, ratio
 from benchmarks.in_tree import ACTIONS, SWEEPS
@@ -23,21 +26,22 @@ def run(options: Options) -> Figures:
     """For each number of sweeps and kind of action the ratio of the step times, new to old; then the peers."""
     assert options.against is not None
     turns, peer_turns = (QUICK_TURNS, QUICK_PEER_TURNS) if options.quick else (TURNS, PEER_TURNS)
-    counts = map(str, (WARM_UP, BLOCK, BLOCKS))
-    new, old = in_turns_by_tree(
-        options, turns, lambda tree, given=tuple(counts): run_in(tree, "drive", *given)
-    ).values()
-    figures = {
+    pairs = list(zip(*in_turns_by_tree(options, turns, drive).values(), strict=True))
+    figures: Figures = {
         f"K={k}": {
-            kind: summarise([(a[f"K={k} {kind}"], b[f"K={k} {kind}"]) for a, b in zip(new, old, strict=True)])
-            for kind in ACTIONS
+            kind: summarise([tuple(turn[f"K={k} {kind}"] for turn in pair) for pair in pairs]) for kind in ACTIONS
         }
         for k in SWEEPS
     }
     return {"against": options.against, **figures, "peers": peers.measure(peer_turns, SWEEPS)}
 
 
-def summarise(pairs: list[tuple[Figures, Figures]]) -> Figures:
+def drive(tree: Path) -> Figures:
+    """What a tree drives in a turn."""
+    return run_in(tree, "drive", *map(str, (WARM_UP, BLOCK, BLOCKS)))
+
+
+def summarise(pairs: Sequence[Sequence[Figures]]) -> Figures:
     """Ratio of the times per step with its interval over the turns; steps per second; equal results."""
     counted = [pair for pair in pairs if all(turn["steps"] for turn in pair)]
     new, old = ([turn["seconds"] / turn["steps"] for turn in turns] for turns in zip(*counted, strict=True))
