@@ -8,7 +8,7 @@ import json
 import shutil
 import signal
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -27,7 +27,6 @@ from mecp_env.core.provenance import import_modules
 from mecp_env.core.work_units import WHOLE, Shard
 from mecp_env.render.figures import save as save_figure
 
-RECORD = "record"  # makes what others replay, and has no figures
 NAMES = (
     *("ablation", "association", "association_time", "claims", "clutter", "consistency", "explorers", "features"),
     *("figures", "filters", "formats", "kidnap", "learning", "loop", "map_size", "mutated", "noise", "paper_mode"),
@@ -38,17 +37,16 @@ HERE_ONLY = ("association_time", "map_size", "real", "scale", "soak")  # times, 
 IN_ONE = ("figures", "formats", "learning", "replay", "speed", "start", "stock_ppo")
 IN_ONE += ("vector", "vector_step", "victoria_park")
 IN_UNITS = tuple(name for name in NAMES if name not in IN_ONE)  # of work, kept and divided
-ON_RECORDS = (
-    *("ablation", "association", "association_time", "claims", "clutter", "consistency", "figures", "kidnap", "loop"),
-    *("map_size", "noise", "paper_mode", "real", "sensors", "structures", RECORD),
-)
 HAVING = {  # an option that not all benchmarks have -> those that have it
     "against": ("speed", "start"),
     "buildings": ("returns", "uncertainty"),
-    "cluster": tuple(name for name in (*IN_UNITS, RECORD) if name not in HERE_ONLY),
+    "cluster": tuple(name for name in IN_UNITS if name not in HERE_ONLY),
     "policies": ("returns", "uncertainty"),
-    "records": ON_RECORDS,
-    "shard": (*IN_UNITS, RECORD),
+    "records": (
+        *("ablation", "association", "association_time", "claims", "clutter", "consistency", "figures", "kidnap"),
+        *("loop", "map_size", "noise", "paper_mode", "real", "sensors", "structures"),
+    ),
+    "shard": IN_UNITS,
     "task": ("uncertainty",),
     "with": (
         *("association", "clutter", "consistency", "filters", "loop", "map_size", "noise", "structures"),
@@ -60,19 +58,20 @@ COLOURS = 128  # of a committed picture: lines and areas need no more
 
 def main(arguments: list[str] | None = None) -> int:
     """Exit code: 0, or 1 where a gate or a bound failed, or 2 for a wrong command line."""
-    given = parser().parse_args(arguments)
+    command = parser()
+    given = command.parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
     options = options_of(given, module)
-    if given.name == "speed" and given.against:
+    if options.against and given.name == "speed":
         module = importlib.import_module("benchmarks.against")
     try:
         import_modules(given.modules)
     except ConfigError as error:
-        parser().error(str(error))
+        command.error(str(error))
     try:
         content = measure(given.name, module, options)
     except OptionError as error:
-        parser().error(str(error))
+        command.error(str(error))
     except (TreeError, MecpError) as error:
         print(f"python -m benchmarks: {error}", file=sys.stderr)
         return 1
@@ -80,29 +79,24 @@ def main(arguments: list[str] | None = None) -> int:
         print(f"{done}; after all shards, the same command without --shard gives the figures")
         return 0
     print(page_of(content, module))
-    code = gate(module, content) if given.gate else keep(given, module, options, content)
+    code = gate(content) if given.gate else keep(given, module, options, content)
     shutil.rmtree(options.folder, ignore_errors=True)  # another run measures again
     return code
 
 
 def keep(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> int:
     """Write the result, unless it is a part and no file is named for it; 1 where a bound of the benchmark failed."""
-    is_part = given.quick or given.sets or given.modules or given.against or given.name == RECORD
+    is_part = given.quick or given.sets or given.modules or given.against
     if given.json or not is_part:
-        write(given, module, options, content)
+        path = given.json or common.RESULTS / f"{given.name}.json"
+        common.save(content, page_of(content, module, f"{path.stem}.png"), path)
+        if hasattr(module, "figure"):
+            save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
+        if hasattr(module, "pictures"):
+            save_pictures(module.pictures(options), path.with_suffix(""))
     faults = module.faults(content["figures"]) if hasattr(module, "faults") else []
     sys.stderr.writelines(f"failed: {fault}\n" for fault in faults)
     return 1 if faults else 0
-
-
-def write(given: argparse.Namespace, module: Any, options: Options, content: Figures) -> None:
-    """Write the result with its page and its pictures."""
-    path = given.json or common.RESULTS / f"{given.name}.json"
-    common.save(content, page_of(content, module, f"{path.stem}.png"), path)
-    if hasattr(module, "figure"):
-        save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
-    if hasattr(module, "pictures"):
-        save_pictures(module.pictures(options), path.with_suffix(""))
 
 
 def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
@@ -122,9 +116,9 @@ def options_of(given: argparse.Namespace, module: Any) -> Options:
     for fault in wrong_options(given, module):
         parser().error(fault)
     folder = common.UNITS / given.name
-    records = given.records or (common.RECORDS if given.name == RECORD else folder / "records")
     shared = {field.name: getattr(given, field.name) for field in fields(Options) if hasattr(given, field.name)}
-    return Options(**shared | {"folder": folder.absolute(), "records": records.absolute()})
+    places = {"folder": folder.absolute(), "records": (given.records or folder / "records").absolute()}
+    return Options(**shared | places)
 
 
 def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
@@ -135,15 +129,10 @@ def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
             yield f"--{option}: {given.name} does not have it; {', '.join(names)} do"
     if given.sets and not hasattr(module, "SETS"):
         yield f"--sets: {given.name} is measured whole"
-    if given.against and given.gate:
-        yield "--against: not with --gate"
+    part = [option for option in ("against", "quick", "sets") if asked[option] and given.gate]
+    yield from (f"--{option}: not with --gate, which compares the whole" for option in part)
     if given.cluster and given.jobs != 1:
         yield f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
-    if given.json:
-        try:
-            check_json(given.json, "json")
-        except ConfigError as error:
-            yield str(error)
     if given.records and given.records.is_file():
         yield f"--records: {given.records} is a file, not a folder"
 
@@ -152,9 +141,10 @@ def parser() -> argparse.ArgumentParser:
     """The options of the command."""
     made = argparse.ArgumentParser(prog="python -m benchmarks", description=__doc__)
     add, many = made.add_argument, {"nargs": "+", "action": "extend"}
-    add("name", choices=(*NAMES, RECORD))
-    add("--json", type=Path, help="where to write the figures (a page of the same name beside it)")
-    add("--jobs", type=positive, default=1, help="processes at the same time")
+    add("name", choices=NAMES)
+    text = "where to write the figures (a page of the same name beside it)"
+    add("--json", type=checked(lambda word: check_json(Path(word), "json")), help=text)
+    add("--jobs", type=checked(positive), default=1, help="processes at the same time")
     add("--gate", action="store_true", help="compare with the committed baseline, write nothing")
     add("--quick", action="store_true", help="a small sample; written only with --json")
     text = "of benchmarks with sets (association, loop, scale, ...): only these; written only with --json"
@@ -164,31 +154,34 @@ def parser() -> argparse.ArgumentParser:
     text = "of speed and start: compare the working tree with this commit; written only with --json"
     add("--against", metavar="GIT_REF", help=text)
     text = "every N-th unit only, from the I-th; then the command without --shard gives the figures"
-    add("--shard", type=shard, default=WHOLE, metavar="I/N", help=text)
-    text = f"of {', '.join(ON_RECORDS)}: the drives that are replayed; missing ones are made there and stay"
+    add("--shard", type=checked(Shard.parse), default=WHOLE, metavar="I/N", help=text)
+    text = f"of {', '.join(HAVING['records'])}: the drives that are replayed; missing ones are made there and stay"
     add("--records", type=Path, metavar="FOLDER", help=text)
     add("--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address")
     add("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
     text = "of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others"
     add("--policies", **many, default=[], metavar="POLICY", help=text)
-    add("--buildings", type=positive, default=0, metavar="N", help="of uncertainty: at each point, 50")
+    add("--buildings", type=checked(positive), default=0, metavar="N", help="of uncertainty: at each point, 50")
     return made
 
 
-def shard(text: str) -> Shard:
-    """`text` as a part of the work."""
-    try:
-        return Shard.parse(text)
-    except ConfigError as error:
-        raise argparse.ArgumentTypeError(str(error)) from None
+def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
+    """A type of an option, whose `ConfigError` ends the command with its words."""
+
+    def parsed(word: str) -> Any:
+        try:
+            return parse(word)
+        except ConfigError as error:
+            raise argparse.ArgumentTypeError(str(error)) from None
+
+    return parsed
 
 
-def positive(text: str) -> int:
-    """`text` as a number, at least 1."""
-    number = int(text)
-    if number < 1:
-        raise argparse.ArgumentTypeError(f"expected at least 1, given {number}")
-    return number
+def positive(word: str) -> int:
+    """A number, at least 1."""
+    if not (word.isdecimal() and int(word) >= 1):
+        raise ConfigError(f"expected at least 1, given {word}")
+    return int(word)
 
 
 def measure(name: str, module: Any, options: Options) -> Figures:
@@ -198,15 +191,15 @@ def measure(name: str, module: Any, options: Options) -> Figures:
     return result(name, figures, min(before, common.calibration_ms()))
 
 
-def gate(module: Any, content: Figures) -> int:
-    """Print what is worse than the committed baseline."""
-    gates, baseline = getattr(module, "GATES", ()), common.RESULTS / f"{content['benchmark']}.json"
-    if not gates or not baseline.is_file():
-        print(f"gate failed: {'no gates defined' if not gates else f'no baseline {baseline.name}'}")
+def gate(content: Figures) -> int:
+    """Print what differs from the committed baseline."""
+    baseline = common.RESULTS / f"{content['benchmark']}.json"
+    if not baseline.is_file():
+        print(f"gate failed: no baseline {baseline.name}")
         return 1
-    worse = common.failures(gates, content, json.loads(baseline.read_text()))
-    print("\n".join(["gate failed:", *worse]) if worse else f"gate passed: {len(gates)} figures")
-    return 1 if worse else 0
+    found = common.differences(content, json.loads(baseline.read_text()))
+    print("\n".join(["gate failed:", *found] if found else ["gate passed"]))
+    return 1 if found else 0
 
 
 if __name__ == "__main__":

@@ -21,8 +21,8 @@ from typing import Any, get_args
 
 import numpy as np
 
-from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, estimate, grouped, in_parallel, runs_of, shared_data
+from benchmarks import loop, noise, real_logs
+from benchmarks.common import Figures, Options, estimate, grouped, in_parallel, runs_of, shared_data
 from benchmarks.drives import Drive, replay
 from benchmarks.real_logs import LOGS
 from benchmarks.records import HARD, IN_MEMORY, KTH, Course, Records, kth_plans
@@ -31,64 +31,51 @@ from benchmarks.tables import columns_of, flatten, table
 from benchmarks.variants import with_change
 from mecp_env.core.errors import ConfigError
 from mecp_env.episode.tasks import TASKS
-from mecp_env.evaluation.calibration import Calibration, calibrate_log
 from mecp_env.evaluation.log_run import config_for, run_log
-from mecp_env.logs import Log, read_log
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 
-PEOPLE, HALLS, LOG, ROUGH = "people", "halls", "logs", "rough"
+PEOPLE, HALLS, LOG, ROUGH, TASK = "people", "halls", "logs", "rough", "ActiveHalls-v0"
 SETS = {
     **dict.fromkeys(("odometry_x1", "odometry_x4", "range_4_m", "slip_5_pct", HARD, PEOPLE, HALLS), 4),
     KTH: 3,
     LOG: 3,
     ROUGH: 6,
 }
-FIRST_SEED = 60  # after those that other benchmarks are judged by
-FIRST_BUILDING = 800
-TASK = "ActiveHalls-v0"
+FIRST_SEED, FIRST_BUILDING = 60, 800  # after those that other benchmarks are judged by
 EXPLORED: dict[str, tuple[str, dict[str, Any]]] = {  # cell -> buildings of its drives, fields of the environment
     HARD: (HARD, {}),
     PEOPLE: (HARD, {"crowd": {"people": 4}, "clutter": {"movable_boxes": 4}}),
     HALLS: (TASK, {name: TASKS[TASK][name] for name in ("laser", "odometry", "slam")}),
     KTH: (KTH, {}),
 }
-QUICK_DRIVES = 3
-LOG_SCANS = 1000
+QUICK_DRIVES, LOG_SCANS = 3, 1000
 ROUGH_SETS = ("paper", "hard", "twins")
 DEFAULT = "default"
 NUMBERS = (" halved", " doubled", " 1")  # what `--quick` leaves out
-GATES = (Gate("association.use_rooms off/odometry_x4/wrong_per_1000", "bound", 1.0),)
 Row = dict[str, float]
 
 
 def changes() -> dict[str, dict[str, Any]]:
     """Each variant by name: fields of sections of the configuration; the default has none."""
-    found: dict[str, dict[str, Any]] = {DEFAULT: {}}
-    for section, field in SlamConfig.model_fields.items():
-        if section != "sensor":
-            found |= changes_of(section, field.default)
-    return {name: change for name, change in found.items() if is_valid(change)}
-
-
-def changes_of(section: str, settings: Any) -> dict[str, dict[str, Any]]:
-    """Other values of each field of a section."""
-    return {
+    found: dict[str, dict[str, Any]] = {DEFAULT: {}} | {
         f"{section}.{name} {label}": {section: {name: other}}
-        for name, field in type(settings).model_fields.items()
-        for label, other in variants_of(getattr(settings, name), field.annotation)
+        for section, settings in SlamConfig.model_fields.items()
+        if section != "sensor"
+        for name, field in type(settings.default).model_fields.items()
+        for label, other in variants_of(getattr(settings.default, name), field.annotation)
     }
+    return {name: change for name, change in found.items() if is_valid(change)}
 
 
 def variants_of(value: Any, annotation: Any) -> list[tuple[str, Any]]:
     """Other values of a field, with their labels: a switch turned round, a number halved and doubled, other words."""
     if isinstance(value, bool):
         return [("off" if value else "on", not value)]
-    if isinstance(value, int):
-        halved = [("halved", value // 2)] if value > 1 else []
-        return [*halved, ("doubled", 2 * value)] if value else [("1", 1)]
-    if isinstance(value, float):
-        return [("halved", 0.5 * value), ("doubled", 2.0 * value)] if value else []
+    if isinstance(value, int | float):
+        halved = value // 2 if isinstance(value, int) else 0.5 * value
+        twice = [("doubled", 2 * value)] if value else [("1", 1)] if isinstance(value, int) else []
+        return [("halved", halved)] * bool(halved) + twice
     return [(str(word), word) for word in get_args(annotation) if isinstance(word, str) and word != value]
 
 
@@ -109,19 +96,17 @@ def run(options: Options) -> Figures:
     units = [(cell, seed, name) for cell, seed in drives for name in names]
     task = partial(measure, records=Records(options.records))
     rows = dict(zip(units, in_parallel(task, Row, units, options), strict=True))
-    cells = grouped(drives, drives)
-    return {name: {cell: differences(rows, of, name) for cell, of in cells.items()} for name in names[1:]}
+    figures: Figures = {name: {} for name in names[1:]}
+    for cell, of in grouped(drives, drives).items():
+        for name in figures:
+            own, usual = (columns_of([rows[*drive, row] for drive in of]) for row in (name, DEFAULT))
+            figures[name][cell] = {key: estimate(own[key] - usual[key]) for key in usual}
+    return figures
 
 
 def is_there(cell: str) -> bool:
     """Whether there are data for a cell."""
     return bool(kth_plans()) if cell == KTH else cell != LOG or shared_data("logs") is not None
-
-
-def differences(rows: dict[tuple[str, int, str], Row], drives: list[tuple[str, int]], name: str) -> Figures:
-    """The mean differences of a variant to the default on some drives."""
-    own, usual = (columns_of([rows[*drive, row] for drive in drives]) for row in (name, DEFAULT))
-    return {key: estimate(own[key] - usual[key]) for key in usual}
 
 
 def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
@@ -145,20 +130,14 @@ def measure(task: tuple[str, int, str], records: Records = IN_MEMORY) -> Row:
 
 def drive_of(cell: str, seed: int, records: Records) -> Drive:
     """The recorded drive of a cell."""
-    if cell in noise.CELLS:
+    if cell in noise.SETS:
         return noise.drive_of(cell, seed, records)
     buildings, fields = EXPLORED[cell]
     number = (seed - FIRST_SEED) % len(kth_plans()) if cell == KTH else FIRST_BUILDING + seed
     return records.drive(Course(f"{buildings}:{number}", seed, {"estimator": "truth", "max_steps": 1500} | fields))
 
 
-@cache
-def calibrated(name: str) -> tuple[Log, Calibration | None]:
-    """A recorded log and its calibration, as in `real`."""
-    folder = shared_data("logs")
-    assert folder is not None
-    log = read_log(folder / f"{name}.npz")
-    return log, calibrate_log(log, config_for(log), {}, {}) if LOGS[name].calibrated else None
+calibrated = cache(real_logs.calibrated)
 
 
 def on_log(name: str, change: dict[str, Any]) -> Row:
@@ -183,16 +162,16 @@ def roughly(records: Records, seed: int, change: dict[str, Any]) -> Row:
 
 def report(figures: Figures) -> str:
     """The variants that make a difference, and the names of those that change nothing."""
-    flat = {name: flatten(cells) for name, cells in figures.items()}
+    flat = {f"`{name}`": flatten(cells) for name, cells in figures.items()}
     rows = [
-        [f"`{name}`", *path.split("/"), figure]
+        [name, *path.split("/"), figure]
         for name, of in flat.items()
         for path, figure in of.items()
         if figure["n"] > 1 and (figure["low"] > 0.0 or figure["high"] < 0.0)
     ]
-    zero = dict.fromkeys(("value", "low", "high"), 0.0)
-    same = [f"`{name}`" for name, of in flat.items() if all(zero.items() <= figure.items() for figure in of.values())]
-    quiet = sorted({f"`{name}`" for name in flat} - {row[0] for row in rows} - set(same))
+    ends = ("value", "low", "high")
+    same = [name for name, of in flat.items() if not any(figure[end] for figure in of.values() for end in ends)]
+    quiet = sorted(flat.keys() - {row[0] for row in rows} - set(same))
     parts = [
         f"{len(figures)} variants.",
         table(["variant", "cell", "figure", "minus default"], rows),

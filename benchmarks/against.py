@@ -8,56 +8,47 @@ Simulators of the extra `peers` are measured after that (`peers.py`).
 
 from __future__ import annotations
 
-import contextlib
-import os
-from functools import partial
+from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks import peers
-from benchmarks.common import Figures, Options, in_turns, ratio
+from benchmarks.common import Figures, Options, ratio
+from benchmarks.in_tree import ACTIONS, SWEEPS
 from benchmarks.tables import table
-from benchmarks.trees import WORKING_TREE, checkout, tree_worker
+from benchmarks.trees import HERE, in_turns_by_tree, run_in
 
-ACTIONS, SWEEPS = ("random", "breadth_first"), (1, 4)
-HERE = "working tree"
-BLOCK, WARM_UP = 100, 300  # control steps
-BLOCKS, QUICK_BLOCKS = 60, 5
+BLOCK, WARM_UP, BLOCKS = 100, 300, 6  # control steps; blocks of a turn
+TURNS, QUICK_TURNS = 12, 2
+PEER_TURNS, QUICK_PEER_TURNS = 60, 5
 
 
 def run(options: Options) -> Figures:
     """For each number of sweeps and kind of action the ratio of the step times, new to old; then the peers."""
     assert options.against is not None
-    blocks = QUICK_BLOCKS if options.quick else BLOCKS
-    with checkout(options.against) as other:
-        trees = {HERE: WORKING_TREE, options.against: other}
-        figures: Figures = {
-            f"K={k}": {actions: compare(trees, actions, k, blocks) for actions in ACTIONS} for k in SWEEPS
+    turns, peer_turns = (QUICK_TURNS, QUICK_PEER_TURNS) if options.quick else (TURNS, PEER_TURNS)
+    pairs = list(zip(*in_turns_by_tree(options, turns, drive).values(), strict=True))
+    figures: Figures = {
+        f"K={k}": {
+            kind: summarise([tuple(turn[f"K={k} {kind}"] for turn in pair) for pair in pairs]) for kind in ACTIONS
         }
-    return {"against": options.against, **figures, "peers": peers.measure(blocks, SWEEPS)}
+        for k in SWEEPS
+    }
+    return {"against": options.against, **figures, "peers": peers.measure(peer_turns, SWEEPS)}
 
 
-def compare(trees: dict[str, Path], actions: str, sweeps: int, blocks: int) -> Figures:
-    """The figures of one kind of action."""
-    with contextlib.ExitStack() as stack:
-        workers = [stack.enter_context(tree_worker(name, tree, actions, str(sweeps))) for name, tree in trees.items()]
-        for worker in workers:
-            worker.call("drive", WARM_UP)
-        for worker in workers:
-            worker.call("pin", max(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 0)
-        turns = in_turns({worker.name: partial(worker.call, "drive", BLOCK) for worker in workers}, blocks)
-    new, old = trees
-    return summarise([(turn[new], turn[old]) for turn in turns])
+def drive(tree: Path) -> Figures:
+    """What a tree drives in a turn."""
+    return run_in(tree, "drive", *map(str, (WARM_UP, BLOCK, BLOCKS)))
 
 
-def summarise(pairs: list[tuple[Figures, Figures]]) -> Figures:
-    """Ratio of the times per step with its interval over the pairs of blocks; steps per second; equal results."""
-    counted = [pair for pair in pairs if not (pair[0]["compiled"] or pair[1]["compiled"])]
-    new, old = ([block["seconds"] / block["steps"] for block in blocks] for blocks in zip(*counted, strict=True))
+def summarise(pairs: Sequence[Sequence[Figures]]) -> Figures:
+    """Ratio of the times per step with its interval over the turns; steps per second; equal results."""
+    counted = [pair for pair in pairs if all(turn["steps"] for turn in pair)]
+    new, old = ([turn["seconds"] / turn["steps"] for turn in turns] for turns in zip(*counted, strict=True))
     return {
         "ratio": ratio(new, old),
         "steps_per_s": len(new) / sum(new),
         "steps_per_s_against": len(old) / sum(old),
-        "left_out": len(pairs) - len(counted),  # pairs in which something was compiled
         "same_observations": sum(a["digest"] == b["digest"] for a, b in pairs) / len(pairs),
     }
 

@@ -19,18 +19,17 @@ per scan, the median of a drive.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from benchmarks import loop
-from benchmarks.common import Figures, Gate, Options, estimate, share
+from benchmarks.common import Figures, Options, estimate
 from benchmarks.drives import Drive, Replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_drives, place
-from benchmarks.tables import columns_of, means, precision_and_recall, ratios, sections, table_of
+from benchmarks.tables import columns_of, sections, summary, table_of
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
-from mecp_env.core.carriers import Bools, Ints
+from mecp_env.core.carriers import Ints
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.policies.report import cell
 
@@ -45,27 +44,9 @@ ASSUMED: dict[str, Any] = {  # the other reading of IV
 }
 SETS = {"paper": 60, IDEAL: 15, "two_rooms": 15, "office": 15, "twins": 15, "furnished": 15, HARD: 20}
 AWAY_SCANS, WITHIN_SCANS, ACROSS_WALL_M = 30, 5, 0.4
-
-GATES = (
-    Gate("paper/mecp/precision", "share", 0.003),
-    Gate("paper/mecp/recall", "share", 0.01),
-    Gate("paper/mecp/rmse_m", "error", 1.5),
-    Gate("paper/mecp/closure_recall", "share", 0.05),
-)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Pairs:
-    """Every corner of a drive with its true corner and that of the landmark it was matched with."""
-
-    step: Ints
-    true: Ints  # true corner, -1 for none
-    claimed: Ints  # true corner of the matched landmark, -1 for none or no match
-    matched: Bools
-
-    @property
-    def wrong(self) -> Bools:
-        return self.matched & ((self.true < 0) | (self.claimed != self.true))
+COLUMNS = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
+COLUMNS += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
+COLUMNS += ("pair_nees", "lost", "associate_ms")
 
 
 def run(options: Options) -> Figures:
@@ -85,9 +66,8 @@ def course(layout: str, seed: int) -> Course:
     """What is driven."""
     if layout == IDEAL:
         return Course("paper", seed, ASSUMED)
-    return Course(
-        place(layout, loop.FIRST_BUILDING + seed), seed, {"max_steps": loop.MAX_STEPS} if layout == HARD else {}
-    )
+    limit = {"max_steps": loop.MAX_STEPS} if layout == HARD else {}
+    return Course(place(layout, loop.FIRST_BUILDING + seed), seed, limit)
 
 
 def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
@@ -101,31 +81,24 @@ def counted(drive: Drive, rows: Mapping[str, Variant]) -> dict[str, Figures]:
 
 
 def counts(drive: Drive, outcome: Replay) -> Figures:
-    """Counts of one drive."""
-    pairs = all_pairs(outcome.log)
+    """Counts of one drive. The true corners of a matched corner and of its landmark are `true` and `claimed`, or -1."""
+    step, true, feature, matched = outcome.log.rows[: outcome.log.used].T
+    claimed = np.where(matched > 0, outcome.log.features[feature, 0], -1)
+    wrong = (matched > 0) & ((true < 0) | (claimed != true))
     rooms = rooms_of(drive)[: len(outcome.error_m)]
-    events = closures(drive, outcome.log, pairs, rooms)
-    after_door = np.isin(pairs.step, [p + k for p in np.flatnonzero(np.diff(rooms)) + 2 for k in range(WITHIN_SCANS)])
+    events = closures(drive, outcome.log, rooms, (step, true, claimed, wrong))
+    after_door = np.isin(step, [p + k for p in np.flatnonzero(np.diff(rooms)) + 2 for k in range(WITHIN_SCANS)])
+    swapped = across_a_wall(drive, *(corner[wrong & (true >= 0) & (claimed >= 0)] for corner in (true, claimed)))
     return outcome.counts | {
-        "corners": len(pairs.true),
-        "mapped": len(np.unique(pairs.claimed[pairs.claimed >= 0])),
+        "thousands": len(true) / 1000.0,
+        "mapped": len(np.unique(claimed[claimed >= 0])),
         "events": len(events),
         "closed": sum(right >= 2 and wrong == 0 for right, wrong in events),
         "false_closures": sum(wrong >= 2 for _, wrong in events),
         "after_door": int(after_door.sum()),
-        "after_door_wrong": int((after_door & pairs.wrong).sum()),
-        "swapped": swapped(drive, pairs),
-        "final_m": float(outcome.error_m[-1]),
-        "periods": len(outcome.error_m),
+        "after_door_wrong": int((after_door & wrong).sum()),
+        "swapped": swapped,
     }
-
-
-def all_pairs(log: AssociationLog) -> Pairs:
-    """Every corner of the log with the final identities."""
-    step, true, feature, matched = log.rows[: log.used].T
-    matched = matched.astype(bool)
-    claimed = np.where(matched, log.features[feature, 0], -1)
-    return Pairs(step, true, claimed, matched)
 
 
 def rooms_of(drive: Drive) -> Ints:
@@ -136,20 +109,21 @@ def rooms_of(drive: Drive) -> Ints:
     return np.array(rooms)
 
 
-def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> list[tuple[int, int]]:
+def closures(drive: Drive, log: AssociationLog, rooms: Ints, pairs: Sequence[Any]) -> list[tuple[int, int]]:
     """Correct and wrong matches within five scans of each return to a room; see the module docstring."""
-    corner_room = drive.truth.outline.corners.room
+    step, true, claimed, wrong = pairs
+    # corners of this room, and spurious corners matched with one of them
+    subject = np.where(true >= 0, true, claimed)
+    room_of = np.where(subject >= 0, drive.truth.outline.corners.room[subject], -2)
     last_visit: dict[int, int] = {}
     events = []
     for i, room in enumerate(rooms.tolist()):
         returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
         last_visit[room] = i
-        window = (pairs.step > i) & (pairs.step <= i + WITHIN_SCANS)
-        # corners of this room, and spurious corners matched with one of them
-        subject = np.where(pairs.true >= 0, pairs.true, pairs.claimed)
-        window &= (subject >= 0) & (corner_room[subject] == room)
-        if returned and mapped_before(log, np.unique(pairs.true[window & (pairs.true >= 0)]), i) >= 2:
-            events.append((int((window & pairs.matched & ~pairs.wrong).sum()), int((window & pairs.wrong).sum())))
+        window = (step > i) & (step <= i + WITHIN_SCANS) & (room_of == room)
+        if returned and mapped_before(log, np.unique(true[window & (true >= 0)]), i) >= 2:
+            right = window & (claimed >= 0) & ~wrong
+            events.append((int(right.sum()), int((window & wrong).sum())))
     return events
 
 
@@ -158,29 +132,16 @@ def mapped_before(log: AssociationLog, corners: Ints, step: int) -> int:
     return sum(bool((log.features[log.features[:, 0] == corner, 1] < step).any()) for corner in corners.tolist())
 
 
-def swapped(drive: Drive, pairs: Pairs) -> int:
-    """Wrong matches between corners of different rooms within 0.4 m: the two faces of a thin wall."""
+def across_a_wall(drive: Drive, true: Ints, claimed: Ints) -> int:
+    """How many corners are taken for others of another room within 0.4 m: the two faces of a thin wall."""
     corners = drive.truth.outline.corners
-    wrong = pairs.wrong & (pairs.true >= 0) & (pairs.claimed >= 0)
-    true, claimed = pairs.true[wrong], pairs.claimed[wrong]
     apart = np.hypot(*(corners.p_world[true] - corners.p_world[claimed]).T)
     return int(((corners.room[true] != corners.room[claimed]) & (apart < ACROSS_WALL_M)).sum())
 
 
 def summarise(runs: list[Figures]) -> Figures:
     """Results of all seeds, each with its 95 % interval."""
-    table = columns_of(runs)
-    table["thousands"] = table["corners"] / 1000.0
-    return {
-        **precision_and_recall(table),
-        **ratios(table, wrong_per_1000="fp/thousands", duplicates_per_corner="duplicates/mapped"),
-        **ratios(table, closure_recall="closed/events", false_closures="false_closures/events"),
-        "events": int(table["events"].sum()),
-        **ratios(table, after_door_wrong="after_door_wrong/after_door", swapped_per_1000="swapped/thousands"),
-        **means(table, "rmse_m", "final_m", "nees"),
-        "lost": share(table["lost"] > 0),
-        **means(table, "map_rmse_m", "landmark_nees", "pair_nees", "periods", "associate_ms"),
-    }
+    return summary(runs, (*COLUMNS, "events"))
 
 
 def differences(runs: Sequence[Figures], base: Sequence[Figures]) -> Figures:
@@ -191,21 +152,18 @@ def differences(runs: Sequence[Figures], base: Sequence[Figures]) -> Figures:
 
 def of_drive(row: Figures) -> Figures:
     """Precision (1 without a match), recall and pose RMSE of one drive."""
-    right = row["tp"]
-    precision = right / (right + row["fp"]) if right + row["fp"] else 1.0
-    return {"precision": precision, "recall": right / max(right + row["fn"], 1), "rmse_m": row["rmse_m"]}
+    right, paired = row["tp"], row["tp"] + row["fp"]
+    recall = right / max(right + row["fn"], 1)
+    return {"precision": right / paired if paired else 1.0, "recall": recall, "rmse_m": row["rmse_m"]}
 
 
 def report(figures: Figures) -> str:
     """Per layout a table with one row per associator, and one of their differences to `mecp`."""
-    columns = ("precision", "recall", "wrong_per_1000", "duplicates_per_corner", "closure_recall", "false_closures")
-    columns += ("after_door_wrong", "swapped_per_1000", "rmse_m", "map_rmse_m", "nees", "landmark_nees")
-    columns += ("pair_nees", "lost", "associate_ms")
     parts = {}
     for layout, methods in figures.items():
         paired = [name for name in methods[DEFAULT] if name.endswith("_minus_mecp")]
-        cells = {name: {column: cell(row[column], ".4g") for column in columns} for name, row in methods.items()}
-        tables = table_of("associator", columns, cells), table_of("associator", paired, methods)
+        cells = {name: {column: cell(row[column], ".4g") for column in COLUMNS} for name, row in methods.items()}
+        tables = table_of("associator", COLUMNS, cells), table_of("associator", paired, methods)
         title = f"{layout} ({methods[DEFAULT]['precision']['n']} seeds)"
         parts[title] = "\n\nMean difference to `mecp` on the same drives:\n\n".join(tables)
     return sections(parts)

@@ -15,28 +15,27 @@ in `loop`.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
 
-from benchmarks import rough_pose
-from benchmarks.clutter import independent
-from benchmarks.common import Figures, Gate, Options, best_of, ratio, runs_of
+from benchmarks.clutter import placed
+from benchmarks.common import Figures, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import course
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import FIRST_SCAN, Finished, Look, named
-from benchmarks.tables import columns_of, ratios, sections, table
-from benchmarks.variants import DEFAULT, rows_of, with_change
+from benchmarks.rough_pose import FIRST_SCAN, Finished, Look, Sigma, decided, finish, front_end, judged, look, named
+from benchmarks.rough_pose import rough_view as view_at
+from benchmarks.tables import columns_of, sections, summary, table
+from benchmarks.variants import DEFAULT, Variant, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
-from mecp_env.slam.config import AssociationConfig, SlamConfig
+from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import CornerKind, Corners, Doorways, MapView, MergedScan, Polygon
-from mecp_env.slam.protocols import Filter
+from mecp_env.slam.messages import CornerKind, Corners, MergedScan, Polygon
 
 CORNERS, SPURIOUS = 20, 4
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -47,54 +46,44 @@ BUDGET = 1_000_000  # nodes; ten times the default, so that most searches end
 SETS = {"paper": 10, "furnished": 6, "hard": 6}  # drives
 SCANS, QUICK_SCANS, QUICK_DRIVES, CALLS = 10, 3, 1, 3
 IN_FRONT = (0.2, 0.9)  # share of a beam's range at which a spurious corner may be
-COUNTED = ("scans", "ms", "right", "pairs", "wrong", "polygon", "budget_spent")
+RATIOS = ("ratio", "ratio_with_polygons", "ratio_same_corners")
 Sums = dict[str, dict[str, Figures]]  # sigma -> associator -> sums over scans
-
-GATES = (
-    Gate("paper/1 m 10 deg/jcbb/ratio", "bound", 0.2),
-    Gate("paper/1 m 10 deg/jcbb/ratio_same_corners", "bound", 0.2),
-    Gate(f"paper/1 m 10 deg/{DEFAULT}/right", "share", 0.1),
-)
 
 
 def run(options: Options) -> Figures:
     """Results of every set, sigma and associator."""
-    scans = QUICK_SCANS if options.quick else SCANS
-    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SETS, QUICK_DRIVES)]
-    results = on_records(compare, Sums, drives, options)
-    return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
+    task = partial(compare, count=QUICK_SCANS if options.quick else SCANS)
+    found = on_records(task, Sums, runs_of(options, SETS, QUICK_DRIVES), options)
+    return {layout: summarise(drives) for layout, drives in found.items()}
 
 
-def compare(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Sums:
+def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY, count: int = SCANS) -> Sums:
     """Sums over the scans of the drive of one layout and seed, for each sigma and associator."""
-    layout, count, seed = task
-    drive = records.drive(course(layout, seed))
-    finished, rng = rough_pose.finish(drive), np.random.default_rng(seed)
+    drive = records.drive(course(*drive_of))
+    finished, rng = finish(drive), np.random.default_rng(drive_of[1])
     looks, polygons_ms = cluttered_looks(drive, finished, count, rng)
     sums: Sums = {}
-    for sigma_m, sigma_deg in SIGMAS:
-        sigmas = np.array([sigma_m, sigma_m, math.radians(sigma_deg)])
-        rows = [race(finished, seen, np.array([rng.normal(size=3) * sigmas, sigmas]), drive.slam) for seen in looks]
-        sums[named((sigma_m, sigma_deg))] = {
-            name: {key: sum(row[name][key] for row in rows) for key in COUNTED} | {"polygons_ms": polygons_ms}
-            for name in METHODS
+    for sigma in SIGMAS:
+        errors = rng.normal(size=(len(looks), 3))
+        sums[named(sigma)] = {
+            name: race(finished, row, drive.slam, looks, sigma, errors) | {"polygons_ms": polygons_ms}
+            for name, row in METHODS.items()
         }
     return sums
 
 
 def cluttered_looks(drive: Drive, finished: Finished, count: int, rng: np.random.Generator) -> tuple[list[Look], float]:
     """Up to `count` scans with clutter, and the milliseconds that finding their polygons takes in total."""
-    mapped, looks, ms = finished.identity[finished.pipeline.filter.ids], list[Look](), 0.0
+    mapped, looks, ms = finished.mapped, list[Look](), 0.0
     for step in rng.permutation(np.arange(FIRST_SCAN, len(drive.scans))).tolist():
-        seen = rough_pose.look(drive, finished, step)
+        seen = look(drive, finished, step)
         real = np.flatnonzero(np.isin(seen.true, mapped) & (seen.true >= 0))
         if CORNERS - SPURIOUS <= len(real) <= CORNERS and len(looks) < count:
-            corners, beams, wall = rough_pose.front_end(drive.scans[step], drive.slam)
+            corners, beams, wall = front_end(drive.scans[step], drive.slam)
             corners, source = with_spurious(corners, beams, vertices_first(real, seen.polygons, rng), rng)
             find = partial(find_structure, corners, beams, drive.slam.polygon, wall)
-            true = np.where(source < 0, -1, seen.true[source])
-            looks.append(Look(corners, find(), true, seen.T_map_robot))
-            ms += fastest_ms(find)
+            looks.append(Look(corners, find(), np.where(source < 0, -1, seen.true[source]), seen.T_map_robot))
+            ms += 1e3 * best_of(find, CALLS)
     return looks, ms
 
 
@@ -110,45 +99,27 @@ def with_spurious(corners: Corners, beams: MergedScan, kept: Ints, rng: np.rando
     hit = rng.choice(np.flatnonzero(beams.hit), SPURIOUS, replace=False)
     range_m = beams.ranges[hit] * rng.uniform(*IN_FRONT, SPURIOUS)
     z = np.concatenate([corners.z[kept], np.column_stack([range_m, beams.bearings[hit]])])
-    order = np.argsort(z[:, 1])
-    source, spurious = np.concatenate([kept, rng.choice(kept, SPURIOUS)])[order], order >= len(kept)
-    turned = np.where(spurious, rng.integers(0, 4, len(order)) * (math.pi / 2.0), 0.0)[:, None]
-    normals = (corners.normals[source] + turned + math.pi) % (2.0 * math.pi) - math.pi
-    kind = np.where(spurious, int(CornerKind.CROSSING), corners.kind[source])
-    beyond = np.where(spurious, -1, corners.beyond[source])
-    marks = kind, corners.convex[source], normals, beyond, spurious | corners.sites[source]
-    doorways = Doorways(np.empty((0, 2), np.int64), np.empty(0), np.empty(0, np.bool_))
-    cov = independent(corners.measurements(source)[1], spurious)
-    return Corners(z[order], cov, *marks, doorways), np.where(spurious, -1, source)
+    donors, quarters = rng.choice(kept, SPURIOUS), rng.integers(0, 4, len(z))[np.argsort(np.argsort(z[:, 1]))]
+    made, order = placed(corners, z, kept, donors, quarters[len(kept) :] * (math.pi / 2.0))
+    false = order >= len(kept)
+    made = replace(made, kind=np.where(false, int(CornerKind.CROSSING), made.kind), sites=made.sites | false)
+    return made, np.concatenate([kept, np.full(SPURIOUS, -1)])[order]
 
 
-def race(finished: Finished, seen: Look, error: Array, slam: SlamConfig) -> dict[str, Figures]:
-    """What every associator does with one scan, its pose off by `error`: a row of x, y, heading, and their sigmas."""
-    off, sigmas = error
-    view, belief = rough_pose.rough_view(finished.pipeline, seen.T_map_robot + off, sigmas, len(seen.corners))
-    rows = {}
-    for name, row in METHODS.items():
-        config = with_change(slam, row.change).association.model_copy(update={"search_budget": BUDGET})
-        decide = partial(make_associator(config).associate, seen.corners, seen.polygons, view, belief)
-        judged = rough_pose.judged(finished, seen, decide())
-        rows[name] = {
-            "scans": 1,
-            **judged,
-            "ms": fastest_ms(decide),
-            "budget_spent": config.method == "jcbb" and nodes(seen.corners, view, belief, config) >= BUDGET,
-        }
-    return rows
-
-
-def nodes(corners: Corners, view: MapView, belief: Filter, config: AssociationConfig) -> int:
-    """How many nodes JCBB tries."""
-    table = pairing_table(corners, view, belief, config, chi2_gate(2, config.gate_probability))
-    return pair_jointly(MatchBuilder(len(corners)), corners, table.costs, view.belief.ids, belief, config)
-
-
-def fastest_ms(call: Callable[[], object]) -> float:
-    """Milliseconds of the fastest of some calls."""
-    return 1e3 * best_of(call, CALLS)
+def race(finished: Finished, row: Variant, slam: SlamConfig, looks: list[Look], sigma: Sigma, errors: Array) -> Figures:
+    """Sums over scans of what an associator decides and what that costs."""
+    config = with_change(slam, row.change).association.model_copy(update={"search_budget": BUDGET})
+    associator, gate, rows = make_associator(config), chi2_gate(2, config.gate_probability), []
+    for seen, error in zip(looks, errors, strict=True):
+        view, belief = view_at(finished.pipeline, seen, sigma, error)
+        verdict = judged(finished, seen, *decided(associator, seen, view, belief, CALLS))
+        spent = 0
+        if config.method == "jcbb":
+            costs = pairing_table(seen.corners, view, belief, config, gate).costs
+            builder = MatchBuilder(len(seen.corners))
+            spent = pair_jointly(builder, seen.corners, costs, view.belief.ids, belief, config)
+        rows.append(verdict | {"scans": 1, "budget_spent": spent >= BUDGET})
+    return {name: float(column.sum()) for name, column in columns_of(rows).items()}
 
 
 def summarise(drives: list[Sums]) -> Figures:
@@ -158,20 +129,20 @@ def summarise(drives: list[Sums]) -> Figures:
 
 def figures_of(drives: list[Sums], sigma: str, name: str) -> Figures:
     """Results of one associator at one sigma."""
+    runs = [drive[sigma][name] for drive in drives]
     own, ours, alike = (columns_of([drive[sigma][row] for drive in drives]) for row in (name, DEFAULT, AGAINST[name]))
     return {
-        **ratios(own, ms="ms/scans", right="right/scans", polygon="polygon/scans", budget_spent="budget_spent/scans"),
-        **ratios(own, wrong="wrong/pairs"),
+        "ms": ratio(own["ms"], own["scans"]),
+        **summary(runs, ("right", "polygon", "budget_spent", "wrong", "scans")),
         "ratio": ratio(ours["ms"], own["ms"]),
         "ratio_with_polygons": ratio(ours["ms"] + own["polygons_ms"], own["ms"]),
         "ratio_same_corners": ratio(alike["ms"], own["ms"]),
-        "scans": int(own["scans"].sum()),
     }
 
 
 def report(figures: Figures) -> str:
     """Per set a table with a row for each sigma and associator."""
-    columns = ["ms", "ratio", "ratio_with_polygons", "ratio_same_corners", "right", "wrong", "polygon", "budget_spent"]
+    columns = ["ms", *RATIOS, "right", "wrong", "polygon", "budget_spent"]
     parts = {}
     for layout, cells in figures.items():
         scans = next(iter(cells.values()))[DEFAULT]["scans"]

@@ -8,22 +8,20 @@ Source: Dellaert and Kaess, "Factor graphs for robot perception", Foundations an
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from benchmarks.common import from_lab
-from benchmarks.known_pairs import Record, Sighting
+from benchmarks.known_pairs import Record, Sighting, polar
 from mecp_env.core.carriers import Array, Ints
-from mecp_env.core.se2 import wrapped
+from mecp_env.core.se2 import to_robot, wrapped
 
 MOST_STEPS, MOST_HALVED = 100, 20
 SETTLED = 1e-12  # change of the cost
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Optimum:
+class Optimum(NamedTuple):
     """The most likely path and map."""
 
     T_map_robot: Array  # (n,3)
@@ -40,27 +38,25 @@ def optimum(record: Record, path: Array, ids: Ints, p_map: Array) -> Optimum:
     Raises `OptionError` where GTSAM is missing.
     """
     gtsam = library()
-    graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-    first = pose_of(gtsam, record.start)
-    graph.add(gtsam.PriorFactorPose2(0, first, gtsam.noiseModel.Gaussian.Covariance(record.start_cov)))
+    graph, values, noise = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.noiseModel.Gaussian.Covariance
+    graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*record.start), noise(record.start_cov)))
     for number, motion in enumerate(record.motions):
-        noise = gtsam.noiseModel.Gaussian.Covariance(motion.cov)
-        graph.add(gtsam.BetweenFactorPose2(number, number + 1, pose_of(gtsam, motion.T), noise))
+        graph.add(gtsam.BetweenFactorPose2(number, number + 1, gtsam.Pose2(*motion.T), noise(motion.cov)))
     for number, sighting in enumerate(record.sightings):
         if len(sighting.ids):
             graph.add(sighted(gtsam, number, len(path), sighting))
     for number, T in enumerate(path):
-        values.insert(number, pose_of(gtsam, T))
+        values.insert(number, gtsam.Pose2(*T))
     for landmark, point in zip(ids.tolist(), p_map, strict=True):
         values.insert(len(path) + landmark, gtsam.Point2(*point))
-    best = minimised(graph, values)
-    marginals, order = gtsam.Marginals(graph, best), np.sort(ids)
+    best, order = minimised(graph, values), np.sort(ids)
+    marginals, keys = gtsam.Marginals(graph, best), (len(path) + order).tolist()
     measured = sum(2 * len(sighting.ids) for sighting in record.sightings)
     return Optimum(
-        np.array([[T.x(), T.y(), T.theta()] for T in (best.atPose2(number) for number in range(len(path)))]),
+        np.array([[T.x(), T.y(), T.theta()] for T in map(best.atPose2, range(len(path)))]),
         order,
-        np.array([best.atPoint2(len(path) + landmark) for landmark in order.tolist()]),
-        np.array([marginals.marginalCovariance(len(path) + landmark) for landmark in order.tolist()]),
+        np.array([best.atPoint2(key) for key in keys]),
+        np.array([marginals.marginalCovariance(key) for key in keys]),
         2.0 * graph.error(best),
         measured - 2 * len(order),  # each motion measures the pose that it adds
     )
@@ -74,15 +70,12 @@ def minimised(graph: Any, values: Any) -> Any:
     cost = graph.error(values)
     for _ in range(MOST_STEPS):
         step = graph.linearize(values).optimize()
-        for halved in range(MOST_HALVED):
-            moved = values.retract(step.scale(0.5**halved))
-            new = graph.error(moved)
-            if new < cost:
-                break
-        else:
+        tried = (values.retract(step.scale(0.5**halved)) for halved in range(MOST_HALVED))
+        better = next(((moved, new) for moved in tried if (new := graph.error(moved)) < cost), None)
+        if better is None:
             return values
-        settled, cost, values = cost - new < SETTLED * cost, new, moved
-        if settled:
+        values, before, cost = better[0], cost, better[1]
+        if before - cost < SETTLED * before:
             return values
     raise ValueError(f"the batch optimum is not reached in {MOST_STEPS} steps")
 
@@ -112,18 +105,12 @@ def measurement(T: Array, points: Array, z: Array) -> tuple[Array, Array, Array]
     The pose (3,) changes in its own frame, as GTSAM has it.
     """
     c, s = np.cos(T[2]), np.sin(T[2])
-    turn = np.array([[c, s], [-s, c]])
-    y = (points - T[:2]) @ turn.T
-    r = np.hypot(*y.T)
-    e = np.stack([r - z[:, 0], wrapped(np.arctan2(y[:, 1], y[:, 0]) - z[:, 1])], axis=1)
-    by_place = np.stack([y / r[:, None], np.stack([-y[:, 1], y[:, 0]], axis=1) / (r * r)[:, None]], axis=1)
+    y = to_robot(T, points)
+    e, r = polar(y) - z, np.hypot(*y.T)[:, None]
+    e[:, 1] = wrapped(e[:, 1])
+    by_place = np.stack([y / r, np.stack([-y[:, 1], y[:, 0]], axis=1) / (r * r)], axis=1)
     by_turn = np.broadcast_to([[0.0], [-1.0]], (len(z), 2, 1))
-    return e.ravel(), np.concatenate([-by_place, by_turn], axis=2), by_place @ turn
-
-
-def pose_of(gtsam: Any, T: Array) -> Any:
-    """A pose (3,) as GTSAM has it."""
-    return gtsam.Pose2(*T.tolist())
+    return e.ravel(), np.concatenate([-by_place, by_turn], axis=2), by_place @ np.array([[c, s], [-s, c]])
 
 
 def library() -> Any:

@@ -78,14 +78,13 @@ class Browser:
         assert "exceptionDetails" not in result, result
         return result["result"].get("value")
 
-    def wait(self, expression: str) -> float:
-        """Seconds until an expression is true. Raises `TimeoutError`."""
+    def wait(self, expression: str) -> None:
+        """Wait until an expression is true. Raises `TimeoutError`."""
         start = time.monotonic()
         while not self.ask(expression):
             if time.monotonic() - start > PATIENCE_S:
                 raise TimeoutError(expression)
             time.sleep(0.02)
-        return time.monotonic() - start
 
     def move(self, x: float, y: float) -> None:
         """Put the pointer somewhere on the page."""
@@ -106,20 +105,14 @@ class Browser:
     def _call(self, method: str, **parameters: Any) -> dict[str, Any]:
         number = next(self._numbers)
         message: dict[str, Any] = {"id": number, "method": method, "params": parameters}
-        if self.session:
-            message["sessionId"] = self.session
+        message |= {"sessionId": self.session} if self.session else {}
         os.write(self._out, json.dumps(message).encode() + b"\0")
-        while True:
-            said = self._read()
-            if said.get("id") == number:
-                assert "error" not in said, said
-                result: dict[str, Any] = said["result"]
-                return result
-            self._note(said)
-
-    def _note(self, said: dict[str, Any]) -> None:
-        if said.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
-            self.logged.append(json.dumps(said["params"]))
+        while (said := self._read()).get("id") != number:
+            if said.get("method") in ("Runtime.exceptionThrown", "Runtime.consoleAPICalled", "Log.entryAdded"):
+                self.logged.append(json.dumps(said["params"]))
+        assert "error" not in said, said
+        result: dict[str, Any] = said["result"]
+        return result
 
     def _read(self) -> dict[str, Any]:
         while b"\0" not in self._rest:

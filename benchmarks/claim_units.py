@@ -8,10 +8,10 @@ import numpy as np
 
 from benchmarks import association, loop, variants
 from benchmarks.common import Figures, estimate
-from benchmarks.corner_scores import Place, Score, make_places, score_places
+from benchmarks.corner_scores import Preset, make_places, score_places
 from benchmarks.drives import Drive
-from benchmarks.features import SEED, key_of, threshold
-from benchmarks.polygon_centres import in_the_map, in_the_scan
+from benchmarks.features import SEED, THRESHOLDS, key_of, threshold
+from benchmarks.paper_plots import in_the_map, in_the_scan
 from benchmarks.records import IN_MEMORY, Records
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
@@ -27,10 +27,11 @@ METHODS = variants.rows_of(  # some of the benchmark `association`
 )
 VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
-THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")
 UNION = " of the union"
 DENSE_SCANS = ("adaptive_noise", "adaptive", "adaptive_noise" + UNION, "adaptive" + UNION)
-PRESETS = {("paper", 4): DENSE_SCANS, ("paper", 1): THRESHOLDS, ("ideal", 4): DENSE_SCANS, ("ideal", 1): THRESHOLDS}
+PRESETS: dict[Preset, Sequence[str]] = {
+    (noise, sweeps): DENSE_SCANS if sweeps == 4 else THRESHOLDS for noise in ("paper", "ideal") for sweeps in (4, 1)
+}
 MATCHABLE = 4  # vertices
 POINTS, INSIDE = 4, 0.95  # per polygon, drawn this share of the way from the robot to its edge, at most
 UNCHECKED = PolygonConfig(check_walls=False)
@@ -43,7 +44,7 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     if kind == "scans":
         return of_scans(layout, number)
     if kind == "loop":
-        return loop.compare((layout, loop.SCANS, number), records, VARIANTS, SIGMAS)
+        return loop.compare((layout, number), records, loop.SCANS, VARIANTS, SIGMAS)
     drive = records.drive(association.course(layout, number))
     methods = association.counted(drive, METHODS)
     if kind == "ideal":  # only the filter is told of noise
@@ -53,11 +54,8 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
 
 def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
     """Sums over the scans of a drive; the share of the free area under polygons, and of rooms with one, at its end."""
-    pipeline, sums = (
-        SlamPipeline(drive.slam),
-        dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw", "searched", "lost", "none"), 0),
-    )
-    shares = []
+    pipeline, shares = SlamPipeline(drive.slam), []
+    sums = dict.fromkeys(("found", "unique", "lines", "free", "lines_raw", "free_raw", "searched", "lost", "none"), 0)
     for output, T_world_robot in drive.outputs(pipeline):
         if output.polygons and len(output.polygons[0].corners) >= MATCHABLE:
             sums["found"] += 1
@@ -71,17 +69,15 @@ def of_polygons(drive: Drive, rng: np.random.Generator) -> Figures:
             sums["lines" + suffix] += len(seen)
             sums["free" + suffix] += int(seen.sum())
     known = [p for p in output.map_polygons if all(pipeline.filter.has(int(i)) for i in p.ids)]
-    in_map = [in_the_map(pipeline.filter, p.ids).variance_share for p in known]
     cover, grid_cover = covers(drive.truth, output.grid, drive.T_world_robot[0])
-    rooms = {output.graph.resolve(p.room) for p in known}
     return {
         **sums,
         "share_in_scan": float(np.mean(shares)),
-        "share_in_map": float(np.mean(in_map)),
+        "share_in_map": float(np.mean([in_the_map(pipeline.filter, p.ids).variance_share for p in known])),
         "cover": cover,
         "grid_cover": grid_cover,
         "rooms": len(output.graph.rooms),
-        "rooms_with_polygon": len(rooms & set(output.graph.rooms)),
+        "rooms_with_polygon": len({output.graph.resolve(p.room) for p in known} & set(output.graph.rooms)),
     }
 
 
@@ -108,8 +104,7 @@ def lines_of_sight(
     true = drive.truth.identify(corners, T_world_robot)[polygons[0].corners]
     vertices = outline.corners.p_world[true[true >= 0]]
     points = to_map(T_world_robot, draw_inside(ring, rng))
-    seen = [drive.truth.laser.visible(vertices, np.array([*point, 0.0])) for point in points]
-    return np.concatenate([np.empty(0, np.bool_), *seen])
+    return np.concatenate([drive.truth.laser.visible(vertices, np.array([*point, 0.0])) for point in points])
 
 
 def draw_inside(ring: Array, rng: np.random.Generator) -> Array:
@@ -122,28 +117,22 @@ def draw_inside(ring: Array, rng: np.random.Generator) -> Array:
 
 
 def of_scans(layout: str, poses: int) -> Figures:
-    """Per preset and threshold the counts of every pose: right corners, corners, found and visible true ones."""
-    places = make_places(layout, poses, SEED, tuple(PRESETS))
-    return {
-        key_of(preset): {name: [counts(score) for score in scores(places, preset, name)] for name in names}
-        for preset, names in PRESETS.items()
-    }
-
-
-def scores(places: Sequence[Place], preset: tuple[str, int], name: str) -> list[Score]:
-    """Scores at each place; whatever noise a laser has, that of the paper is assumed."""
-    rule = threshold(name.removesuffix(UNION)).model_copy(update={"sweeps": "union" if UNION in name else "mean"})
-    return score_places(places, preset, SlamConfig(clustering=rule), assumed="paper")
-
-
-def counts(score: Score) -> list[int]:
-    """Right corners, corners, detectable true ones found, detectable true ones."""
-    return [int(score.table[:, 5].sum()), len(score.table), score.found[0], score.visible[0]]
+    """Per preset and threshold the counts of every pose: detectable true corners that are found, and all of them."""
+    places, counts = make_places(layout, poses, SEED, tuple(PRESETS)), Figures()
+    for preset, names in PRESETS.items():
+        counts[key_of(preset)] = {}
+        for name in names:
+            sweeps = "union" if UNION in name else "mean"
+            rule = threshold(name.removesuffix(UNION)).model_copy(update={"sweeps": sweeps})
+            # whatever noise a laser has, that of the paper is assumed
+            scores = score_places(places, preset, SlamConfig(clustering=rule), assumed="paper")
+            counts[key_of(preset)][name] = [[score.found[0], score.visible[0]] for score in scores]
+    return counts
 
 
 def recalls(counts: Sequence[Sequence[int]]) -> Array:
     """(n,) recall at each pose; nan where no corner is visible."""
-    _, _, found, visible = np.array(counts, float).T
+    found, visible = np.array(counts, float).T
     return np.where(visible > 0, found / np.maximum(visible, 1.0), np.nan)
 
 

@@ -16,12 +16,12 @@ from typing import Any
 from benchmarks import association
 from benchmarks.association import differences, summarise
 from benchmarks.claim_units import PRESETS, SIGMAS, VARIANTS, measure, of_clustering, recalls
-from benchmarks.common import Figures, Gate, Options, estimate, ratio
+from benchmarks.common import Figures, Options, all_figures, estimate, ratio
 from benchmarks.features import key_of
 from benchmarks.polygon_speed import exponents
 from benchmarks.records import on_records
-from benchmarks.rough_pose import figures_of, named, right_share
-from benchmarks.tables import by_row, columns_of, flatten, means, ratios, readable, table
+from benchmarks.rough_pose import named, right_share
+from benchmarks.tables import by_row, columns_of, flatten, readable, summary, table
 from benchmarks.variants import LETTER
 from mecp_env.world.layout import shipped_layouts
 
@@ -31,16 +31,8 @@ POSES = 24  # per layout
 SITES, SETS = (10, 15, 20, 30, 40), 100  # for the exponent of the cost
 DENSE, SINGLE, IDEAL_DENSE, IDEAL_SINGLE = (key_of(preset) for preset in PRESETS)
 IDEAL = {association.IDEAL: 12}
-SIGMA_NAMES = ROUGH, ROUGHEST = tuple(named(sigma) for sigma in SIGMAS)
+ROUGH, ROUGHEST = map(named, SIGMAS)
 PAPER = "mecp_paper"
-
-GATES = (
-    Gate("variance/in_a_scan", "error", 1.2),
-    Gate("revisiting/closure_recall", "share", 0.05),
-    Gate("polygons/visible", "share", 0.01),
-    Gate("polygons/cover", "share", 0.03),
-    Gate("clustering/mean_minus_single", "share", 0.02),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,14 +82,13 @@ def run(options: Options) -> Figures:
     for (kind, _), results in on_records(measure, dict[str, Any], units, options).items():
         of.setdefault(kind, []).extend(results)
     rough = of_loops(of["loop"])
-    timed = {**rough.pop("timed"), **exponents(SITES, SETS // part)}
     return {
         **of_drives([r["methods"] for r in of["drive"]]),
         "ideal_laser": precisions([r["methods"] for r in of["ideal"]]),
         **of_polygons([r["polygons"] for r in of["drive"]]),
         **rough,
         **of_scans(of["scans"]),
-        "timed": timed,
+        "timed": {**rough["timed"], **exponents(SITES, SETS // part)},
     }
 
 
@@ -109,9 +100,8 @@ def of_drives(runs: list[dict[str, Figures]]) -> Figures:
         "closed_loop": precisions(runs),
         "across_a_wall": {key: rows[name]["swapped_per_1000"] for key, name in (alone | {"paper": PAPER}).items()},
         "revisiting": {
-            **{key: rows["mecp"][key] for key in ("closure_recall", "false_closures")},
+            **{key: rows["mecp"][key] for key in ("closure_recall", "false_closures", "events")},
             "paper_closure_recall": rows[PAPER]["closure_recall"],
-            "events": rows["mecp"]["events"],
         },
     }
 
@@ -129,14 +119,13 @@ def precisions(runs: list[dict[str, Figures]]) -> Figures:
 def of_polygons(runs: list[Figures]) -> Figures:
     """What polygons are like."""
     of = columns_of(runs)
+    parts = {"visible": "free/lines", "visible_without_check": "free_raw/lines_raw", "unique": "unique/found"}
+    parts |= {"rooms_with_polygon": "rooms_with_polygon/rooms"}
+    shares = {name: ratio(*(of[column] for column in pair.split("/"))) for name, pair in parts.items()}
     return {
-        "kernel_rule": ratios(of, lost="lost/searched", none="none/searched"),
+        "kernel_rule": {name: ratio(of[name], of["searched"]) for name in ("lost", "none")},
         "variance": {"in_a_scan": estimate(of["share_in_scan"]), "in_the_map": estimate(of["share_in_map"])},
-        "polygons": {
-            **ratios(of, visible="free/lines", visible_without_check="free_raw/lines_raw", unique="unique/found"),
-            **means(of, "cover", "grid_cover"),
-            **ratios(of, rooms_with_polygon="rooms_with_polygon/rooms"),
-        },
+        "polygons": shares | summary(runs, ("cover", "grid_cover")),
     }
 
 
@@ -144,13 +133,13 @@ def of_loops(runs: list[dict[str, dict[str, Figures]]]) -> Figures:
     """One scan at a rough pose: what polygons gain, and what methods cost."""
     cells = {(name, sigma): of for name, own in by_row(runs).items() for sigma, of in by_row(own).items()}
     with_them, without, *_ = VARIANTS
-    gain = {sigma: right_share(cells[with_them, sigma]) - right_share(cells[without, sigma]) for sigma in SIGMA_NAMES}
+    gain = [right_share(cells[with_them, sigma]) - right_share(cells[without, sigma]) for sigma in (ROUGH, ROUGHEST)]
     ms = {name: columns_of(cells[name, ROUGH])["ms"] for name in VARIANTS}
     return {
         "rough_pose": {
-            "polygons_gain": estimate(gain[ROUGH]),
-            "polygons_gain_roughest": estimate(gain[ROUGHEST]),
-            "right": {name: figures_of(cells[name, ROUGH])["right"] for name in VARIANTS},
+            "polygons_gain": estimate(gain[0]),
+            "polygons_gain_roughest": estimate(gain[1]),
+            "right": {name: summary(cells[name, ROUGH], ("right",))["right"] for name in VARIANTS},
         },
         "timed": {
             "paper_over_jcbb": ratio(ms[PAPER], ms["jcbb"]),
@@ -162,10 +151,8 @@ def of_loops(runs: list[dict[str, dict[str, Figures]]]) -> Figures:
 def of_scans(layouts: list[dict[str, dict[str, list[list[int]]]]]) -> Figures:
     """Recall of corners by sweeps and thresholds, for both readings of the laser's noise."""
     recall = {
-        key_of(preset): {
-            name: recalls([counts for layout in layouts for counts in layout[key_of(preset)][name]]) for name in names
-        }
-        for preset, names in PRESETS.items()
+        key: {name: recalls([counts for layout in layouts for counts in layout[key][name]]) for name in names}
+        for key, names in layouts[0].items()
     }
     return {
         "clustering": of_clustering(recall[SINGLE], recall[DENSE]),
@@ -182,5 +169,4 @@ def report(figures: Figures) -> str:
         found, holds = flat.get(claim.figure, "-"), f"**{claim.holds(figures)}**"
         rows.append([sentence, claim.experiment, found, claim.bound, holds, "; ".join(beside)])
     header = ["claim", "experiment", "figure", "bound", "holds", "beside it"]
-    every = table(["figure", "value [95 % interval]"], flat.items())
-    return f"{table(header, rows)}\n\n## All figures\n\n{every}"
+    return f"{table(header, rows)}\n\n## All figures\n\n{all_figures(figures)}"

@@ -22,13 +22,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks import loop, noise
-from benchmarks.common import Figures, Gate, Options, runs_of
+from benchmarks import noise
+from benchmarks.common import Figures, Options, runs_of
+from benchmarks.loop import course
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.tables import by_row, sections, table
 from benchmarks.variants import associators, replays
-from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.messages import Belief, CornerKind, Corners, Doorways, MergedScan, ScanFeatures
@@ -41,20 +42,11 @@ CLEAR_M = 0.5
 TABLE_ONLY = ("mecp_paper", "ccda", "jcbb with descriptor and rooms", "nearest_room")  # too many lines for a figure
 METRICS = ("precision", "recall", "rmse_m", "lost", "associate_ms")
 DRAWN = {"precision": "1 - precision", "recall": "1 - recall", "rmse_m": "pose RMSE, m"}
-course = loop.course
-
-GATES = (
-    Gate("paper/detection 0.9, spurious 20 %/mecp/precision", "share", 0.003),
-    Gate("paper/detection 0.9, spurious 20 %/mecp/recall", "share", 0.01),
-    Gate("paper/detection 0.9, spurious 20 %/mecp/rmse_m", "error", 1.5),
-)
 
 
 def run(options: Options) -> Figures:
     """Results of every layout, cell and associator."""
-    drives = [
-        (layout, detection, spurious, seed) for layout, seed in runs_of(options, SETS) for detection, spurious in CELLS
-    ]
+    drives = [(layout, *cell, seed) for layout, seed in runs_of(options, SETS) for cell in CELLS]
     figures: Figures = {}
     for (layout, *cell), runs in on_records(compare, dict[str, Figures], drives, options).items():
         of_cell = {name: noise.summarise(own) for name, own in by_row(runs).items()}
@@ -112,11 +104,7 @@ def cluttered(
     donor = np.flatnonzero(donors < spurious) if len(clear) else old[:0]
     at = clear[(ends[donor] * len(clear)).astype(np.int64)]
     z = np.concatenate([corners.z[old], np.stack([beams.ranges[at], beams.bearings[at]], axis=1)])
-    order, source = np.argsort(z[:, 1], kind="stable"), np.concatenate([old, donor])
-    turn = np.concatenate([np.zeros(len(old)), beams.bearings[at] - corners.z[donor, 1]])[order]
-    false, place = (order >= len(old)), np.full(len(corners), -1)
-    place[old[order[~false]]] = np.flatnonzero(~false)
-    return _picked(corners, z[order], source[order], turn, false, place)
+    return placed(corners, z, old, donor, beams.bearings[at] - corners.z[donor, 1])[0]
 
 
 def clear_hits(corners: Corners, beams: MergedScan) -> Ints:
@@ -127,25 +115,28 @@ def clear_hits(corners: Corners, beams: MergedScan) -> Ints:
     return hits[(apart > CLEAR_M).all(axis=1)]
 
 
-def _picked(corners: Corners, z: Array, source: Ints, turn: Array, false: Any, place: Ints) -> Corners:
-    """Corners at `z` (n,2) that are those of `source` (n,), turned; `place` (old n,): where the old ones are now."""
-    cov = independent(corners.measurements(source)[1], false)
-    ways, jambs = corners.doorways, place[corners.doorways.jambs.reshape(-1, 2)]
+def placed(corners: Corners, z: Array, old: Ints, donor: Ints, turns: Array) -> tuple[Corners, Ints]:
+    """The corners `old`, and a turned copy of each of the corners `donor`, at `z` (n,2); both in order of bearing.
+
+    Also the order (n,): which of `z` each is. A copy is independent of all others, and no jamb.
+    """
+    order = np.argsort(z[:, 1], kind="stable")
+    source, false = np.concatenate([old, donor])[order], order >= len(old)
+    place = np.full(len(corners), -1)  # of each old corner now
+    place[source[~false]] = np.flatnonzero(~false)
+    jambs = place[corners.doorways.jambs.reshape(-1, 2)]
     there = (jambs >= 0).all(axis=1)
     number = np.append(np.where(there, np.cumsum(there) - 1, -1), -1)  # of each doorway now; the last: of none
     kind = np.where(false & (corners.kind[source] == CornerKind.JAMB), CornerKind.FREE_END, corners.kind[source])
-    normals = np.array([[wrap_angle(a) for a in row] for row in (corners.normals[source] + turn[:, None]).tolist()])
+    turned = corners.normals[source] + np.concatenate([np.zeros(len(old)), turns])[order][:, None]
+    normals = np.array([[wrap_angle(a) for a in row] for row in turned.tolist()]).reshape(-1, 2)
     beyond = np.where(false, -1, number[corners.beyond[source]])
-    marks = corners.convex[source], normals.reshape(-1, 2), beyond, corners.sites[source]
-    doorways = Doorways(jambs[there], ways.width[there], ways.confirmable[there])
-    return Corners(z, cov, kind.astype(np.int64), *marks, doorways)
-
-
-def independent(cov: Array, alone: Bools) -> Array:
-    """A joint covariance (2n,2n) without the correlations of those `alone` (n,)."""
-    correlated = np.repeat(~alone, 2)
-    own = np.kron(np.eye(len(alone), dtype=bool), np.ones((2, 2), dtype=bool))
-    return np.where(own | (correlated[:, None] & correlated), cov, 0.0)
+    marks = corners.convex[source], normals, beyond, corners.sites[source]
+    alone = np.repeat(false, 2)
+    own = np.kron(np.eye(len(false), dtype=bool), np.ones((2, 2), dtype=bool))
+    cov = np.where(own | ~(alone[:, None] | alone), corners.measurements(source)[1], 0.0)
+    doorways = Doorways(jambs[there], corners.doorways.width[there], corners.doorways.confirmable[there])
+    return Corners(z[order], cov, kind.astype(np.int64), *marks, doorways), order
 
 
 def report(figures: Figures) -> str:

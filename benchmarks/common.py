@@ -1,18 +1,20 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It has `GATES`, the figures that must not get worse. It may have `report(figures) -> str`, tables in Markdown,
-`figure(figures)`, a figure of matplotlib that is saved as PNG beside them, `pictures(options)`, figures by name that
-are saved as PNG and SVG in a folder beside them, and `faults(figures) -> list[str]`, what exceeds its bound.
+It may have `report(figures) -> str`, tables in Markdown, `figure(figures)`, a figure of matplotlib that is saved as PNG
+beside them, `pictures(options)`, figures by name that are saved as PNG and SVG in a folder beside them, and
+`faults(figures) -> list[str]`, what exceeds its bound.
 """
 
 from __future__ import annotations
 
+import importlib
 import importlib.util
 import json
 import math
 import os
 import platform
+import re
 import sys
 import time
 import timeit
@@ -20,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal, TypeVar
+from typing import Any
 
 import numba
 import numpy as np
@@ -31,13 +33,11 @@ from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 
-Unit = TypeVar("Unit", bound=tuple[Any, ...])
-
 __all__ = ["Figures", "correlation", "estimate", "ratio", "share"]  # of mecp_env.core.intervals
 
 RESULTS = Path(__file__).parent / "results"
-RECORDS = Path("runs/records")  # drives that stay, to be replayed
 MOST = 400  # runs of a set: the split `test` has so many buildings from the first one of each benchmark on
+TIME, RATE = re.compile(r"(\b|_)(us|ms|s)\b"), re.compile("per_s|per second")  # in the path of a figure
 UNITS = Path("runs/benchmarks")  # results of units of work, until all of a benchmark are there
 
 
@@ -95,17 +95,8 @@ def shared_data(kind: str) -> Path | None:
     return next((folder for folder in folders if folder.is_dir()), None)
 
 
-@dataclass(frozen=True, slots=True)
-class Gate:
-    """A figure that must not get worse than the baseline."""
-
-    path: str  # keys joined by "/"
-    kind: Literal["time", "rate_per_s", "share", "error", "bound"]
-    slack: float  # ratio above 1 for times, speeds and errors; difference for shares; a bound is the largest value
-
-
 def in_parallel(
-    task: Callable[[Any], Any], kind: Any, units: Sequence[Unit] | Mapping[str, Any], options: Options
+    task: Callable[[Any], Any], kind: Any, units: Sequence[tuple[Any, ...]] | Mapping[str, Any], options: Options
 ) -> list[Any]:
     """The result of `task`, of the type `kind`, for each unit in order.
 
@@ -118,10 +109,9 @@ def in_parallel(
     named = dict(options.shard.part(list(all_units.items())))
     results, errors = dict[str, Any](), list[Exception]()
     todo, begun = len(named.keys() - kept.found.keys()), time.monotonic()
-    first = len(named) - todo
     for name, result in run_kept(task, named, kept, options.jobs, options.cluster):
         results[name] = result
-        show_progress(len(results) - first, todo, time.monotonic() - begun)
+        show_progress(len(results) - len(named) + todo, todo, time.monotonic() - begun)
         if isinstance(result, FailedUnit):
             errors.append(result.error)
             print(f"failed: {result}", file=sys.stderr)
@@ -206,22 +196,17 @@ def calibration_ms() -> float:
 
 def machine() -> dict[str, str]:
     """The machine and versions of a measurement."""
+    cpuinfo = Path("/proc/cpuinfo")
+    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
+    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
     return {
-        "processor": _processor(),
+        "processor": next(iter(models), platform.processor() or "unknown"),
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "numba": numba.__version__,
         "numpy": np.__version__,
     }
-
-
-def _processor() -> str:
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-    except OSError:
-        return platform.processor() or "unknown"
-    return next((line.partition(":")[2].strip() for line in lines if line.startswith("model name")), "unknown")
 
 
 def result(name: str, figures: Figures, calibration: float) -> Figures:
@@ -262,40 +247,30 @@ def save(content: Figures, page: str, path: Path) -> None:
     path.with_suffix(".md").write_text(page)
 
 
-def failures(gates: Sequence[Gate], now: Figures, baseline: Figures) -> list[str]:
-    """What is worse in `now` than in `baseline`, one line per figure; a missing figure is a failure."""
+def differences(now: Figures, baseline: Figures) -> list[str]:
+    """Where `now` differs from `baseline`, a line each: intervals that do not meet, numbers more than 2 % apart.
+
+    Times and speeds may differ by 30 % of their ratio to the calibration workload; a missing figure is a difference.
+    """
     measured, before = flatten(now["figures"]), flatten(baseline["figures"])
-    speed = now["calibration_ms"] / baseline["calibration_ms"]
-    lines = []
-    for gate in gates:
-        value, base = _better_end(measured.get(gate.path), gate), _value(before.get(gate.path))
-        if value is None or base is None:
-            lines.append(f"{gate.path}: missing in {'this run' if value is None else 'the baseline'}")
-        elif _is_worse(gate, value, base, speed):
-            lines.append(
-                f"{gate.path}: {readable(value)}, baseline {readable(base)} ({gate.kind}, slack {gate.slack:g})"
-            )
-    return lines
+    slower = now["calibration_ms"] / baseline["calibration_ms"]  # is this machine than that of the baseline
+    return [
+        f"{path}: {readable(measured.get(path, 'missing'))}, baseline {readable(figure)}"
+        for path, figure in before.items()
+        if _ends(figure) and _differs(_ends(measured.get(path)), _ends(figure), path, slower)
+    ]
 
 
-def _is_worse(gate: Gate, value: float, base: float, speed: float) -> bool:
-    """True when `value` fails the gate; `speed` is the slowdown of this machine relative to the baseline machine."""
-    if gate.kind == "time":
-        return value > gate.slack * base * speed
-    if gate.kind == "rate_per_s":
-        return value * gate.slack < base / speed
-    if gate.kind == "bound":
-        return value > gate.slack
-    return value < base - gate.slack if gate.kind == "share" else value > gate.slack * base
+def _differs(found: Sequence[float], expected: Sequence[float], path: str, slower: float) -> bool:
+    if not found:
+        return True
+    rate, time = RATE.search(path), TIME.search(path)
+    scale, slack = 1.0 / slower if rate else slower if time else 1.0, 1.3 if rate or time else 1.02
+    ends = [scale * end * by for end in expected for by in (slack, 1.0 / slack)]
+    return found[1] < min(ends) or found[0] > max(ends)
 
 
-def _better_end(figure: Any, gate: Gate) -> float | None:
-    """The end of the interval that favours the run, so that a small sample alone does not fail a gate."""
-    if not isinstance(figure, dict):
-        return _value(figure)
-    return _value(figure["high" if gate.kind in ("rate_per_s", "share") else "low"])
-
-
-def _value(figure: Any) -> float | None:
-    value = figure.get("value") if isinstance(figure, dict) else figure
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+def _ends(figure: Any) -> Sequence[float]:
+    """Both ends of an estimate, or a number twice; nothing of a text or of what was not measured."""
+    ends = [figure["low"], figure["high"]] if isinstance(figure, dict) else [figure, figure]
+    return ends if all(isinstance(end, int | float) and math.isfinite(end) for end in ends) else ()

@@ -21,19 +21,18 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, NullFormatter
 from scipy.stats import chi2
 
 from benchmarks import loop
-from benchmarks.batch import Optimum, optimum
-from benchmarks.common import Figures, Gate, Options, estimate, ratio
-from benchmarks.errors import mean_nees, nees, rms, sigma_ratio
+from benchmarks.batch import optimum
+from benchmarks.common import Figures, Options, estimate, ratio
+from benchmarks.drives import mean_nees, nees, rms, sigma_ratio
 from benchmarks.known_pairs import Sighting, filtered, in_order, measured
-from benchmarks.plots import DASHES, GREYS
+from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_drives
-from benchmarks.tables import columns_of, means, sections, table_of
+from benchmarks.tables import columns_of, sections, summary, table_of
 from mecp_env.core.carriers import Array
-from mecp_env.core.se2 import wrap_angle
+from mecp_env.core.se2 import wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
@@ -48,17 +47,10 @@ MODELS: dict[str, dict[str, Any]] = {  # fields of the odometry
     "skid_steer": {"preset": "skid_steer"},
 }
 SLIPS = ("skid_steer",)
-SETS = {"per_metre": 60, "per_step": 60, "linear": 60, "skid_steer": 60}
+SETS = dict.fromkeys(MODELS, 60)
 OVER_TIME, COMPARED = "nees_over_time", ("nees", "landmark_nees", "landmark_rms_m")  # to BASE
 BATCH, BASE, ALL = "batch", "riekf", "riekf, all iterated"
-SUBMAP, MOMENTS = 10, 40  # of a drive, for NEES over time
-
-GATES = (
-    Gate("per_metre/riekf/nees", "bound", 4.5),
-    Gate("per_metre/riekf/over_batch", "bound", 1.1),
-    Gate("per_metre/riekf_submaps/over_batch", "bound", 1.1),
-    Gate("per_metre/fej/over_batch", "bound", 1.1),
-)
+SUBMAP, MOMENTS, DRAWN = 10, 40, 5  # of a drive, for NEES over time; every fifth of them is drawn
 
 
 def run(options: Options) -> Figures:
@@ -69,28 +61,27 @@ def run(options: Options) -> Figures:
     }
 
 
-def course(model: str, seed: int) -> Course:
-    """What is driven with an odometry."""
-    fields = {"odometry": MODELS[model]} if MODELS[model] else {}
-    return Course(LAYOUT, seed, {"estimator": "truth", "max_steps": loop.MAX_STEPS, **fields})
-
-
 def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
-    """Counts of each filter, and of the batch optimum, on one drive."""
+    """Counts of each filter, and of the batch optimum, on one drive with an odometry."""
     model, seed = task
-    drive = records.drive(course(model, seed))
+    fields = {"odometry": MODELS[model]} if MODELS[model] else {}
+    drive = records.drive(Course(LAYOUT, seed, {"estimator": "truth", "max_steps": loop.MAX_STEPS, **fields}))
     record, path, corners = measured(drive, model in SLIPS)
     counts, best = dict[str, Figures](), None
     for name, kind in rows().items():
         found = make_filter(drive.slam.filter.model_copy(update={"kind": kind, "submap": SUBMAP}))
-        correct = Correction(drive.slam, model in SLIPS, name == ALL)
-        beliefs = list(filtered(record, found, correct))
+        beliefs = list(filtered(record, found, Correction(drive.slam, model in SLIPS, name == ALL)))
         if best is None:
             poses = np.array([belief.T_map_robot for belief in beliefs])
             best = optimum(record, poses, beliefs[-1].ids, beliefs[-1].p_map)
-            counts[BATCH] = of_batch(best, path, corners[best.ids])
-        counts[name] = of_filter(beliefs, in_order(found), path, corners[best.ids])
-        counts[name]["sigma_over_batch"] = sigma_ratio(in_order(found)[1], best.covs)
+            counts[BATCH] = {
+                "rmse_m": rms((best.T_map_robot - path)[:, :2]),
+                "chi2_over_freedom": best.chi2 / best.freedom,
+                **of_landmarks(best.p_map, best.covs, corners[best.ids]),
+            }
+        p_map, covs = in_order(found)
+        own = {**of_path(beliefs, path), **of_landmarks(p_map, covs, corners[best.ids])}
+        counts[name] = own | {"sigma_over_batch": sigma_ratio(covs, best.covs)}
     return counts
 
 
@@ -112,33 +103,18 @@ class Correction:
         """Update a filter by known landmarks; without any, what was driven counts at the next update."""
         if odometry is not None:
             self.guard.follow(odometry)
-        iterate = self.always or not self.sharp(found.belief())
-        self.guard.update(found, sighting.z, sighting.R, sighting.ids, iterate)
+        self.guard.update(found, *sighting, self.always or not self.sharp(found.belief()))
         self.guard.travelled = self.guard.turned = 0.0
 
 
-def of_filter(beliefs: list[Belief], landmarks: tuple[Array, Array], path: Array, corners: Array) -> Figures:
-    """Counts of one filter."""
+def of_path(beliefs: list[Belief], path: Array) -> Figures:
+    """NEES of the pose and its error."""
     errors = np.array([belief.T_map_robot for belief in beliefs]) - path
-    errors[:, 2] = [wrap_angle(error) for error in errors[:, 2].tolist()]
-    covs = np.array([belief.pose_cov for belief in beliefs])
-    over_time = nees(errors, covs)
+    errors[:, 2] = wrapped(errors[:, 2])
+    over_time = nees(errors, np.array([belief.pose_cov for belief in beliefs]))
     moments = np.linspace(0, len(over_time) - 1, MOMENTS + 1).round().astype(int)[1:]
-    return {
-        "nees": float(over_time.mean()),
-        OVER_TIME: over_time[moments].tolist(),
-        "rmse_m": rms(errors[:, :2]),
-        **of_landmarks(*landmarks, corners),
-    }
-
-
-def of_batch(best: Optimum, path: Array, corners: Array) -> Figures:
-    """Counts of the batch optimum."""
-    return {
-        "rmse_m": rms((best.T_map_robot - path)[:, :2]),
-        "chi2_over_freedom": best.chi2 / best.freedom,
-        **of_landmarks(best.p_map, best.covs, corners),
-    }
+    mean = {"nees": float(over_time.mean()), "rmse_m": rms(errors[:, :2])}
+    return mean | {OVER_TIME: over_time[moments].tolist()}
 
 
 def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
@@ -148,13 +124,11 @@ def of_landmarks(p_map: Array, covs: Array, corners: Array) -> Figures:
 
 def summarise(own: list[Figures], best: list[Figures], base: list[Figures]) -> Figures:
     """Results of one filter over all drives with a model, each with its 95 % interval."""
-    of, of_best, of_base = (
-        columns_of([{name: value for name, value in one.items() if name != OVER_TIME} for one in rows])
-        for rows in (own, best, base)
-    )
-    figures: Figures = {**means(of, *of), "over_batch": ratio(of["landmark_rms_m"], of_best["landmark_rms_m"])}
+    plain = [[{key: run[key] for key in run if key != OVER_TIME} for run in runs] for runs in (own, best, base)]
+    of, of_best, of_base = map(columns_of, plain)
+    figures: Figures = {**summary(plain[0], of), "over_batch": ratio(of["landmark_rms_m"], of_best["landmark_rms_m"])}
     if own is not best:
-        over_time = np.array([one[OVER_TIME] for one in own])
+        over_time = np.array([run[OVER_TIME] for run in own])
         figures[OVER_TIME] = {str(k): estimate(column) for k, column in enumerate(over_time.T)}
         figures |= {f"{name}_minus_{BASE}": estimate(of[name] - of_base[name]) for name in COMPARED}
     return figures
@@ -173,8 +147,7 @@ def report(figures: Figures) -> str:
     parts = {}
     for model, rows in figures.items():
         n = rows[BASE]["nees"]["n"]
-        low, high = band(n)
-        head = f"The mean of {n} NEES of a pose is in [{low:.2f}, {high:.2f}] in 95 %."
+        head = "The mean of {} NEES of a pose is in [{:.2f}, {:.2f}] in 95 %.".format(n, *band(n))
         said = f" `batch`: chi2 per degree of freedom {rows[BATCH]['chi2_over_freedom']['value']:.3f}."
         parts[f"{model} ({n} drives)"] = f"{head}{said}\n\n{table_of('filter', columns, rows)}"
     return sections(parts)
@@ -182,27 +155,11 @@ def report(figures: Figures) -> str:
 
 def figure(figures: Figures) -> Figure:
     """NEES over time of each filter and model, with the band of a consistent filter."""
-    across = min(len(figures), 2)
-    down = -(-len(figures) // across)
-    drawn = Figure(figsize=(4.2 * across, 3.4 * down + 0.6), layout="constrained")
-    all_axes = drawn.subplots(down, across, sharey=True, squeeze=False).ravel()
-    for axes, (model, rows) in zip(all_axes, figures.items(), strict=False):
+    drawn, panels = range(DRAWN - 1, MOMENTS, DRAWN), {}
+    for model, rows in figures.items():
         n = rows[BASE]["nees"]["n"]
-        at = np.arange(1, MOMENTS + 1) / MOMENTS
-        axes.fill_between(at, *band(n), color="0.85", label="95 % of a consistent filter")
-        lines = {name: row[OVER_TIME] for name, row in rows.items() if name != BATCH}
-        for k, (name, line) in enumerate(lines.items()):
-            values = [line[str(moment)]["value"] for moment in range(MOMENTS)]
-            axes.plot(at, values, label=name, linestyle=DASHES[k], color=GREYS[k], linewidth=1.2)
-        axes.set(title=f"{model} ({n} drives)", xlabel="share of the drive", yscale="log")
-        axes.grid(alpha=0.3)
-        axes.yaxis.set_major_locator(LogLocator(subs=(1.0, 2.0, 3.0, 5.0)))
-        axes.yaxis.set_major_formatter("{x:g}")
-        axes.yaxis.set_minor_formatter(NullFormatter())
-    for axes in all_axes[len(figures) :]:
-        axes.remove()
-    for axes in all_axes[::across]:
-        axes.set_ylabel("mean NEES of the pose, no unit")
-    handles = all_axes[0].get_legend_handles_labels()
-    drawn.legend(*handles, loc="outside lower center", ncols=4, frameon=False)
-    return drawn
+        consistent = dict(zip(("value", "low", "high"), (3.0, *band(n)), strict=True))
+        lines = {name: [row[OVER_TIME][str(k)] for k in drawn] for name, row in rows.items() if name != BATCH}
+        lines = {"95 % of a consistent filter": [consistent] * len(drawn), **lines}
+        panels[f"{model} ({n} drives): share of the drive"] = Panel([f"{(k + 1) / MOMENTS:g}" for k in drawn], lines)
+    return line_panels(panels, "mean NEES of the pose, no unit", log=True)

@@ -6,11 +6,13 @@ import math
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from benchmarks.known_pairs import polar
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.core.se2 import polar_to_points, to_robot, wrap_angle, wrapped
+from mecp_env.core.se2 import polar_to_points, to_robot, wrapped
 from mecp_env.core.sensors import Scan
 from mecp_env.slam.association.gating import one_to_one
 from mecp_env.slam.config import SensorModel, SlamConfig
@@ -27,12 +29,11 @@ from mecp_env.world.outline import Outline, build_outline, random_free_pose
 NEAR_M, SIGNATURE_RAD = 0.25, math.radians(40.0)
 FACE_M, SEEN_M, SEEN_BEAMS = 0.35, 0.3, 5
 SAMPLE_M, FARTHEST_SAMPLE_M = 0.04, 6.0
-CLEARANCE_M = 0.3
-DOOR_M = 0.3
+CLEARANCE_M, DOOR_M = 0.3, 0.3
+Preset = tuple[str, int]  # noise of the laser, sweeps
 
 
-@dataclass(frozen=True, slots=True)
-class Truth:
+class Truth(NamedTuple):
     """Ground truth visible from one pose, in the robot's frame."""
 
     p_robot: Array  # (n,2) m, corners in line of sight
@@ -43,12 +44,11 @@ class Truth:
     well_seen: Bools  # (d,) both jambs of this side visible, within 3 m and 30 degrees
 
 
-@dataclass(frozen=True, slots=True)
-class Place:
+class Place(NamedTuple):
     """One pose in one layout, the ground truth visible from it, and a scan for every preset."""
 
     truth: Truth
-    scans: dict[tuple[str, int], Scan]
+    scans: dict[Preset, Scan]
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,8 @@ class Score:
         return np.array(self.rows, float).reshape(-1, 6)
 
 
-def make_places(layout: str, poses: int, seed: int, presets: Sequence[tuple[str, int]]) -> list[Place]:
-    """`poses` random places in a layout, each with a scan for every preset (name, sweeps)."""
+def make_places(layout: str, poses: int, seed: int, presets: Sequence[Preset]) -> list[Place]:
+    """`poses` random places in a layout, each with a scan for every preset."""
     outline = build_outline(load_layout(layout))
     lasers = {key: Laser(outline, with_noise_of(*key)) for key in presets}
     places = []
@@ -92,13 +92,13 @@ def truth_at(outline: Outline, laser: Laser, T_world_robot: Array) -> Truth:
     seen = laser.visible(corners.p_world, T_world_robot)
     detectable = [
         min(corners.faces[i]) >= FACE_M and any(face_seen(outline, laser, T_world_robot, i, side) for side in (0, 1))
-        for i in map(int, np.flatnonzero(seen))
+        for i in np.flatnonzero(seen).tolist()
     ]
     return Truth(
         to_robot(T_world_robot, corners.p_world[seen]),
         corners.convex[seen],
         corners.normals[seen] - T_world_robot[2],
-        np.array(detectable, dtype=np.bool_).reshape(-1),
+        np.array(detectable, np.bool_),
         to_robot(T_world_robot, outline.doors.centre),
         doors_well_seen(outline, laser, T_world_robot),
     )
@@ -113,27 +113,25 @@ def face_seen(outline: Outline, laser: Laser, T_world_robot: Array, corner: int,
     if (T_world_robot[:2] - p) @ normal <= 0.0:
         return False
     samples = np.arange(0.5 * SAMPLE_M, min(length, FARTHEST_SAMPLE_M), SAMPLE_M)
-    hidden = np.flatnonzero(~laser.visible(p + samples[:, None] * along + 1e-4 * normal, T_world_robot))
-    run = samples[: hidden[0]] if len(hidden) else samples
+    visible = laser.visible(p + samples[:, None] * along + 1e-4 * normal, T_world_robot)
+    run = samples[np.logical_and.accumulate(visible)]
     if len(run) == 0 or run[-1] < SEEN_M - SAMPLE_M:
         return False
-    a, b = p - T_world_robot[:2], p + run[-1] * along - T_world_robot[:2]
-    subtended = abs(math.atan2(a[0] * b[1] - a[1] * b[0], a @ b))
-    return subtended >= SEEN_BEAMS * 2.0 * math.pi / laser.config.beams
+    _, bearings = polar(np.array([p, p + run[-1] * along]) - T_world_robot[:2]).T
+    return bool(np.abs(wrapped(np.diff(bearings)))[0] >= SEEN_BEAMS * 2.0 * math.pi / laser.config.beams)
 
 
 def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Bools:
     """Doors (d,) with both jambs of the robot's side visible, within 3 m and 30 degrees."""
     doors = outline.doors
     normal = np.column_stack([np.cos(doors.normal), np.sin(doors.normal)])
-    offset = T_world_robot[:2] - doors.centre
-    side = np.sign((offset * normal).sum(axis=1))[:, None]
-    face = doors.centre + side * normal * (0.5 * doors.thickness[:, None] + 1e-4)
+    normal *= np.sign(((T_world_robot[:2] - doors.centre) * normal).sum(axis=1))[:, None]  # towards the robot
+    face = doors.centre + normal * (0.5 * doors.thickness[:, None] + 1e-4)
     half = 0.4999 * doors.width[:, None] * np.column_stack([-normal[:, 1], normal[:, 0]])
     seen = laser.visible(face + half, T_world_robot) & laser.visible(face - half, T_world_robot)
     away = T_world_robot[:2] - face
-    distance = np.hypot(away[:, 0], away[:, 1])
-    steep = (side * normal * away).sum(axis=1) >= math.cos(math.radians(30.0)) * distance
+    distance = np.hypot(*away.T)
+    steep = (normal * away).sum(axis=1) >= math.cos(math.radians(30.0)) * distance
     return np.asarray(seen & steep & (distance <= 3.0), dtype=np.bool_)
 
 
@@ -151,9 +149,7 @@ def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     return corners, np.diff(clock)
 
 
-def score_places(
-    places: Sequence[Place], preset: tuple[str, int], config: SlamConfig, assumed: str = ""
-) -> list[Score]:
+def score_places(places: Sequence[Place], preset: Preset, config: SlamConfig, assumed: str = "") -> list[Score]:
     """The scores of the scans of one preset, taken with the sensor model that fits it, or the `assumed` preset."""
     laser = with_noise_of(assumed or preset[0], preset[1])
     sensor = SensorModel(range_sigma_m=laser.range_sigma_m, bearing_sigma_deg=laser.bearing_sigma_deg)
@@ -167,26 +163,20 @@ def score(truth: Truth, corners: Corners, seconds: Array) -> Score:
     partner = pair(truth, corners)
     rows = np.full((len(corners), 6), np.nan)
     rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 5] = corners.kind, corners.convex, corners.z[:, 0], partner >= 0
-    for i in np.flatnonzero(partner >= 0):
-        rows[i, 3:5] = error_and_nis(corners, int(i), truth.p_robot[partner[i]])
-    hit = np.isin(np.arange(len(truth.convex)), partner)
-    easy = truth.detectable
+    right = np.flatnonzero(partner >= 0)
+    p_robot = truth.p_robot[partner[right]]
+    nu = corners.z[right] - polar(p_robot)
+    nu[:, 1] = wrapped(nu[:, 1])
+    rows[right, 3] = np.hypot(*(polar_to_points(corners.z[right]) - p_robot).T)
+    rows[right, 4] = (nu * np.linalg.solve(corners.R[right], nu[:, :, None])[:, :, 0]).sum(axis=1)
+    hit, easy = np.isin(np.arange(len(truth.convex)), partner), truth.detectable
     visible, found = (int(easy.sum()), int((~easy).sum())), (int(hit[easy].sum()), int(hit[~easy].sum()))
     return Score(rows.tolist(), visible, found, score_doors(truth, corners), seconds.tolist())
 
 
-def error_and_nis(corners: Corners, i: int, p_robot: Array) -> tuple[float, float]:
-    """Distance (m) of corner i from a point, and its normalised innovation squared (2 expected)."""
-    r, bearing = math.hypot(*p_robot), math.atan2(p_robot[1], p_robot[0])
-    nu = np.array([corners.z[i, 0] - r, wrap_angle(corners.z[i, 1] - bearing)])
-    point = polar_to_points(corners.z[i : i + 1])[0]
-    return math.dist(point, p_robot), float(nu @ np.linalg.solve(corners.R[i], nu))
-
-
 def pair(truth: Truth, corners: Corners) -> Ints:
     """(n,) the true corner of each corner, nearest pairs first, or -1."""
-    offset = polar_to_points(corners.z)[:, None] - truth.p_robot[None]
-    distance = np.hypot(offset[..., 0], offset[..., 1])
+    distance = np.hypot(*np.moveaxis(polar_to_points(corners.z)[:, None] - truth.p_robot, 2, 0))
     turn = np.abs(wrapped(corners.normals[:, None] - truth.normals[None]))
     alike = (np.isnan(turn) | (turn < SIGNATURE_RAD)).all(axis=2) & (corners.convex[:, None] == truth.convex[None])
     return one_to_one(np.where(alike, distance, np.inf), NEAR_M)
@@ -195,7 +185,6 @@ def pair(truth: Truth, corners: Corners) -> Ints:
 def score_doors(truth: Truth, corners: Corners) -> tuple[int, int, int]:
     """Visible doors, how many of them were found, and false doors."""
     middles = polar_to_points(corners.z)[corners.doorways.jambs].mean(axis=1)
-    offset = middles[:, None] - truth.doors[None]
-    near = np.hypot(offset[..., 0], offset[..., 1]) < DOOR_M
+    near = np.hypot(*np.moveaxis(middles[:, None] - truth.doors, 2, 0)) < DOOR_M
     found = near.any(axis=0) & truth.well_seen
     return int(truth.well_seen.sum()), int(found.sum()), int((~near.any(axis=1)).sum())

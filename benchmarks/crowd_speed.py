@@ -8,16 +8,16 @@ per step in two blocks of the same turn.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import cache, partial
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from benchmarks.common import Figures, estimate
-from benchmarks.drives import drive_at_random, exploration
+from benchmarks.drives import exploration
+from benchmarks.random_actions import RandomDriver, held
 from benchmarks.tables import table_of
-from mecp_env.cli.stopwatch import Stopwatch, timed_stages
+from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
@@ -34,40 +34,44 @@ SETTINGS: dict[str, tuple[bool, dict[str, Any]]] = {  # whether in the generated
     "200 walls": (True, {}),
     "200 walls, 8 people": (True, PEOPLE),
 }
-RANDOM_STEPS = 400  # of a random drive
-MAX_STEPS = 3000
+ACTIONS = ("random", "bfs")
+RANDOM_STEPS, MAX_STEPS = 400, 3000  # of a random drive and of an exploration
 
 
 def measure(turns: int) -> Figures:
-    """For random actions and the explorer: us per step in each setting, and its ratio to the empty layout."""
-    drives = {"random": partial(drive_at_random, steps=RANDOM_STEPS), "bfs": explore}
-    return {name: compared(drive, turns) for name, drive in drives.items()}
+    """For random actions and the explorer: us per step in each setting, and its ratio to the empty layout.
+
+    `us` are those of an environment step, `with_driver_us` with planner and controller.
+    """
+    figures: Figures = {}
+    for actions in ACTIONS:
+        us = {name: np.array([block(name, actions, turn) for turn in range(-1, turns)][1:]).T for name in SETTINGS}
+        figures[actions] = {
+            name: {
+                f"{prefix}{figure}": estimate(value)
+                for prefix, own, bare in zip(("", "with_driver_"), of, us[BARE], strict=True)
+                for figure, value in (("us", own), ("ratio", own / bare))
+            }
+            for name, of in us.items()
+        }
+    return figures
 
 
-def compared(drive: Callable[..., None], turns: int) -> Figures:
-    """`us` per environment step, `with_driver_us` with planner and controller, and their ratios to the empty layout."""
-    blocks = [{name: block(name, drive, turn) for name in SETTINGS} for turn in range(-1, turns)][1:]  # one for warm-up
-    return {name: figures([(turn[name], turn[BARE]) for turn in blocks]) for name in SETTINGS}
-
-
-def figures(pairs: list[tuple[Stopwatch, Stopwatch]]) -> Figures:
-    """The figures of a setting from its blocks, each paired with a block of the empty layout."""
-    seconds = np.array([[(watch.seconds["step"], watch.seconds["drive"]) for watch in pair] for pair in pairs])
-    us = 1e6 * seconds / np.array([[[watch.steps] for watch in pair] for pair in pairs])
-    found: Figures = {}
-    for prefix, of in {"": us[:, :, 0], "with_driver_": us.sum(axis=2)}.items():
-        found |= {f"{prefix}us": estimate(of[:, 0]), f"{prefix}ratio": estimate(of[:, 0] / of[:, 1])}
-    return found
-
-
-def block(setting: str, drive: Callable[..., None], turn: int) -> Stopwatch:
-    """One drive in a setting, timed."""
+def block(setting: str, actions: str, turn: int) -> tuple[float, float]:
+    """Microseconds per step of one drive in a setting, without and with planner and controller."""
     generated, moving = SETTINGS[setting]
     layout = building(max(turn, 0)) if generated else BARE
     env = MecpEnv(layout=layout, start="random", max_steps=MAX_STEPS, **moving)
     with timed_stages(each=False) as watch:
-        drive(env, seed=turn + 1)
-    return watch
+        if actions == "random":
+            driver = RandomDriver(env, held(turn + 1), turn + 1)
+            for _ in range(RANDOM_STEPS):
+                driver.step()
+        else:
+            for _ in exploration(GoalActions(env), turn + 1):
+                pass
+    step, with_driver = watch.seconds["step"], watch.seconds["step"] + watch.seconds["drive"]
+    return 1e6 * step / watch.steps, 1e6 * with_driver / watch.steps
 
 
 @cache
@@ -86,9 +90,3 @@ def report(measured: Figures) -> str:
     columns = ("us", "with_driver_us", "ratio", "with_driver_ratio")
     rows = {f"{actions}, {setting}": of for actions, settings in measured.items() for setting, of in settings.items()}
     return table_of("actions, where", columns, rows)
-
-
-def explore(env: MecpEnv, seed: int) -> None:
-    """One whole exploration."""
-    for _ in exploration(GoalActions(env), seed):
-        pass

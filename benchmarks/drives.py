@@ -1,7 +1,11 @@
-"""Recorded drives: the sensor data of a breadth-first episode, to compare estimators on the same data."""
+"""Recorded drives: the sensor data of a breadth-first episode, to compare estimators on the same data.
+
+And the errors of poses and points, and how well covariances and confidence predict them.
+"""
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
@@ -9,20 +13,18 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.errors import map_nees
-from benchmarks.errors import nees as nees_of
-from benchmarks.in_tree import random_commands
 from mecp_env.config import EnvConfig
-from mecp_env.core.carriers import Array, Ints
-from mecp_env.core.se2 import compose, inverse, polar_to_points, wrap_angle
+from mecp_env.core.carriers import Array
+from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map, wrap_angle
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.ground_truth import GroundTruth
 from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.evaluation.metrics import AssociationLog, EpisodeMetrics
 from mecp_env.planning.breadth_first import BreadthFirst
+from mecp_env.render.shapes import signed_area
 from mecp_env.slam import Odometry, Scan, SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.association import OracleAssociator, make_associator
-from mecp_env.slam.config import AssociationConfig
+from mecp_env.slam.config import AssociationConfig, chi2_of_point
 from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
@@ -30,6 +32,9 @@ from mecp_env.world.simulation import Motion
 from mecp_env.wrappers import GoalActions
 
 FAR_SHARE = 0.93  # of the laser's range; walls end there that go on
+ELLIPSE = chi2_of_point(0.9)
+WRONG_M = 0.5  # a position error that is no longer small
+BINS = 10  # of confidence
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,8 +58,7 @@ class Drive:
 
     def part(self, first: int, count: int) -> Drive:
         """So many scans of the drive, from one on."""
-        rows = slice(first, first + count)
-        parts = {name: getattr(self, name)[rows] for name in ("odometry", "scans", "T_world_robot")}
+        parts = {name: getattr(self, name)[first : first + count] for name in ("odometry", "scans", "T_world_robot")}
         return replace(self, **parts)
 
 
@@ -65,7 +69,6 @@ class Replay:
     log: AssociationLog
     error_m: Array  # (n,) position error after each scan
     nees: Array  # (n,) pose NEES, 3 expected
-    position_nees: Array  # (n,) of the position alone, 2 expected
     counts: dict[str, Any]  # of the whole drive
 
 
@@ -74,22 +77,16 @@ class WatchedAssociator(Associator):
     """An associator, how long it takes, and what part of its decisions polygons made."""
 
     watched: Associator
-    seconds: list[float] = field(default_factory=list)  # of each scan
-    scans: list[tuple[int, int, bool, int]] = field(default_factory=list)  # corners, paired by a polygon, ...
-    first: list[tuple[int, float]] = field(default_factory=list)  # vertices and m2 of the first polygon, where any is
+    rows: list[tuple[float, ...]] = field(default_factory=list)  # of each scan, the columns of `counts`
 
     def associate(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter) -> Match:
         """The match of the associator."""
         begun = time.perf_counter()
         match = self.watched.associate(corners, polygons, view, belief)
-        self.seconds.append(time.perf_counter() - begun)
-        paired = int((match.reason == Reason.POLYGON).sum())
-        self.scans.append((len(corners), paired, match.polygon >= 0, len(polygons)))
-        if polygons:
-            ring = polar_to_points(corners.z[polygons[0].corners])
-            following = np.roll(ring, -1, axis=0)
-            twice_m2 = (ring[:, 0] * following[:, 1] - ring[:, 1] * following[:, 0]).sum()
-            self.first.append((len(ring), 0.5 * float(twice_m2)))
+        seconds, paired = time.perf_counter() - begun, int((match.reason == Reason.POLYGON).sum())
+        ring = polar_to_points(corners.z[polygons[0].corners if polygons else []])
+        first = len(polygons), len(ring), signed_area(ring)
+        self.rows.append((seconds, len(corners), paired, match.polygon >= 0, *first))
         return match
 
     def remember(self, match: Match) -> None:
@@ -104,18 +101,18 @@ class WatchedAssociator(Associator):
     @property
     def counts(self) -> dict[str, Any]:
         """Milliseconds per scan, the median; and sums and means over the drive."""
-        seen, paired, recognised, polygons = np.array(self.scans).T
-        vertices, area_m2 = [float(np.mean(of)) for of in zip(*self.first, strict=True)] or (0.0, 0.0)
+        seconds, seen, paired, recognised, polygons, vertices, area_m2 = np.array(self.rows).T
+        found = max(int((polygons > 0).sum()), 1)  # scans with a polygon
         return {
-            "associate_ms": 1e3 * float(np.median(self.seconds)),
+            "associate_ms": 1e3 * float(np.median(seconds)),
             "seen": int(seen.sum()),
             "paired": int(paired.sum()),
             "recognised": int(recognised.sum()),
-            "scans": len(self.scans),
-            "found": len(self.first),
+            "scans": len(self.rows),
+            "found": int((polygons > 0).sum()),
             "unique": int((polygons == 1).sum()),
-            "vertices": vertices,
-            "area_m2": area_m2,
+            "vertices": float(vertices.sum() / found),  # of the first polygon
+            "area_m2": float(area_m2.sum() / found),
         }
 
 
@@ -149,22 +146,10 @@ def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], b
         yield info, terminated
 
 
-def drive_at_random(env: MecpEnv, steps: int, seed: int = 0) -> None:
-    """Random velocities, each held for ten steps; a new episode every 1,000 steps."""
-    commands = random_commands(seed)
-    for step in range(steps):
-        if step % 1000 == 0:
-            env.reset(seed=seed + step)
-        _, _, terminated, truncated, _ = env.step(next(commands))
-        if terminated or truncated:
-            env.reset(seed=seed + step)
-
-
 def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:
     """A breadth-first exploration of `layout` with the estimated map, from a start given by the seed."""
     inner = RecordingEnv(layout=layout, start="random", **keywords)
-    env = GoalActions(inner)
-    for _ in exploration(env, seed):
+    for _ in exploration(GoalActions(inner), seed):
         pass
     return inner.drive
 
@@ -178,36 +163,35 @@ def replay(
     """Run an estimator on a drive; its decisions feed back into its filter (closed loop)."""
     associator = WatchedAssociator(make(slam.association))
     pipeline = estimator(slam, associator=associator)
-    log = AssociationLog(len(drive.truth.outline.corners))
+    log, lost = AssociationLog(len(drive.truth.outline.corners)), LostWatch()
     T_map_world = inverse(drive.T_world_robot[0])
     errors, covs, seen = [], [], []
     for output, T_world_robot in drive.outputs(pipeline, associator.watched):
         true = drive.truth.identify(output.corners, T_world_robot)
         log.record(output, true)
-        seen.append((*far_corners(output, true), bool(output.polygons)))
+        far = output.corners.z[:, 0] > FAR_SHARE * output.beams.max_range_m
+        seen.append((far.sum(), (far & (true < 0)).sum(), bool(output.polygons)))
         error = compose(T_map_world, T_world_robot) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
+        lost.look(float(np.hypot(*error[:2])), error[2])
         errors.append(error)
         covs.append(output.belief.pose_cov)
         if output.diverged:
             break
-    x, y, heading = np.array(errors).T
-    error_m, (far, phantoms, with_polygon) = np.hypot(x, y), np.array(seen).T
-    nees, position_nees = (nees_of(np.array(errors)[:, :size], np.array(covs)[:, :size, :size]) for size in (3, 2))
-    lost = LostWatch()
-    for step in zip(error_m.tolist(), heading.tolist(), strict=True):
-        lost.look(*step)
+    e, P = np.array(errors), np.array(covs)
+    error_m, pose_nees, (far_corners, phantoms, with_polygon) = np.hypot(*e[:, :2].T), nees(e, P), np.array(seen).T
     counts = {
         "rmse_m": float(np.sqrt((error_m**2).mean())),
-        "nees": float(nees.mean()),
+        "nees": float(pose_nees.mean()),
+        "in_ellipse": float((nees(e[:, :2], P[:, :2, :2]) <= ELLIPSE).mean()),  # of 90 %, share of the scans
         "lost": lost.is_lost(output.diverged),
-        "far": int(far.sum()),  # corners beyond 93 % of the laser's range
+        "far": int(far_corners.sum()),  # corners beyond 93 % of the laser's range
         "phantoms": int(phantoms.sum()),  # those of them that do not exist
         "polygon_share": float(with_polygon.mean()),  # of the scans, with a polygon
         **map_counts(drive, log, pipeline.filter, output),
         **associator.counts,
     }
-    return Replay(log, error_m, nees, position_nees, counts)
+    return Replay(log, error_m, pose_nees, counts)
 
 
 def map_counts(drive: Drive, log: AssociationLog, belief: Filter, output: SlamOutput) -> dict[str, Any]:
@@ -230,7 +214,63 @@ def map_counts(drive: Drive, log: AssociationLog, belief: Filter, output: SlamOu
     }
 
 
-def far_corners(output: SlamOutput, true: Ints) -> tuple[int, int]:
-    """How many corners of a scan are beyond 93 % of the laser's range, and how many of them are none in truth."""
-    beyond = output.corners.z[:, 0] > FAR_SHARE * output.beams.max_range_m
-    return int(beyond.sum()), int((beyond & (true < 0)).sum())
+def nees(errors: Array, covs: Array) -> Array:
+    """(n,) e^T P^-1 e of errors (n,m) with covariances (n,m,m)."""
+    return np.asarray((errors * np.linalg.solve(covs, errors[:, :, None])[:, :, 0]).sum(axis=1))
+
+
+def mean_nees(errors: Array, covs: Array) -> float:
+    """Its mean; nan without any."""
+    return float(nees(errors, covs).mean()) if len(errors) else float("nan")
+
+
+def rms(errors: Array) -> float:
+    """Root mean square of the lengths of errors (n,2)."""
+    return float(np.sqrt((errors**2).sum(axis=1).mean()))
+
+
+def sigma_ratio(covs: Array, best_covs: Array) -> float:
+    """Median ratio of the sigma of a landmark to the best there is, from covariances (n,2,2) of both."""
+    sigmas, best = (np.sqrt(np.trace(some, axis1=1, axis2=2)) for some in (covs, best_covs))
+    return float(np.median(sigmas / best))
+
+
+def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
+    """Distance and turn between two poses (3,)."""
+    x, y, heading = T_map_robot - truth
+    return math.hypot(x, y), abs(wrap_angle(heading))
+
+
+def roc_area(confidence: Array, error_m: Array) -> float:
+    """Probability that a scan with a small error has more confidence than one with a large error; ties count half."""
+    right, wrong = (np.sort(confidence[mask]) for mask in (error_m < WRONG_M, error_m >= WRONG_M))
+    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
+    return float(below.sum() / (2.0 * len(right) * len(wrong))) if len(right) and len(wrong) else math.nan
+
+
+def calibration_error(confidence: Array, error_m: Array) -> float:
+    """Mean difference of mean confidence and share of small errors in ten bins, weighted by their scans."""
+    bins = np.minimum((confidence * BINS).astype(np.int64), BINS - 1)
+    gap = np.bincount(bins, confidence - (error_m < WRONG_M), BINS)
+    return float(np.abs(gap).sum() / len(confidence))
+
+
+def map_nees(truth: GroundTruth, log: AssociationLog, belief: Filter, T_map_world: Array) -> tuple[float, float]:
+    """Mean NEES of the landmarks, and of the offset of two that were matched in one scan (2 expected of both).
+
+    Those of no true corner are left out; nan where none is left.
+    """
+    still, corner = len(truth.outline.corners), log.corners_of(belief.ids)
+    slots = np.flatnonzero((corner >= 0) & (corner < still))
+    mean, cov = belief.marginal(belief.ids[slots])
+    p_map = to_map(T_map_world, np.ascontiguousarray(truth.outline.corners.p_world[corner[slots]]))
+    errors, m = mean[3:].reshape(-1, 2) - p_map, len(slots)
+    blocks = cov[3:, 3:].reshape(m, 2, m, 2).transpose(0, 2, 1, 3)  # (m,m,2,2)
+    step, _, feature, matched = log.rows[: log.used].T
+    seen = np.zeros((int(step.max(initial=0)) + 1, m))
+    rows, columns = np.nonzero((feature[:, None] == belief.ids[slots]) & (matched > 0)[:, None])
+    seen[step[rows], columns] = 1.0
+    together = np.triu(seen.T @ seen, 1) > 0  # both were matched in one scan
+    a, b = np.nonzero(together & (corner[slots][:, None] != corner[slots]))  # duplicates are one corner
+    offsets = blocks[a, a] + blocks[b, b] - blocks[a, b] - blocks[b, a]
+    return mean_nees(errors, blocks[np.arange(m), np.arange(m)]), mean_nees(errors[a] - errors[b], offsets)

@@ -8,45 +8,33 @@ it are visible.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, in_parallel, ratio
-from benchmarks.corner_scores import Score, make_places, score_places
+from benchmarks.common import Figures, Options, estimate, in_parallel, ratio
+from benchmarks.corner_scores import Preset, Score, make_places, score_places
 from benchmarks.tables import readable, sections, table, table_of, whole_rows
-from mecp_env.core.carriers import Array, Bools
+from mecp_env.core.carriers import Array
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind
 from mecp_env.world.layout import shipped_layouts
 
 SEED = 1  # not the seed used for tuning
 PRESETS = tuple((preset, sweeps) for preset in ("paper", "lms200", "ideal") for sweeps in (4, 1))
-ABLATED = tuple((preset, sweeps) for preset in ("paper", "lms200") for sweeps in (4, 1))
+ABLATED = PRESETS[:4]
 THRESHOLDS = ("adaptive_noise", "adaptive", "fixed_0.1", "fixed_0.2", "fixed_0.3", "fixed_0.4", "fixed_0.5")
 RANGE_BINS_M = (0.0, 2.0, 4.0, 8.0, 30.0)
-KINDS: dict[str, Callable[[Array], Bools]] = {
-    "concave crossing": lambda rows: (rows[:, 0] == CornerKind.CROSSING) & (rows[:, 1] == 0.0),
-    "convex crossing": lambda rows: (rows[:, 0] == CornerKind.CROSSING) & (rows[:, 1] == 1.0),
-    "free end": lambda rows: rows[:, 0] == CornerKind.FREE_END,
-    "jamb": lambda rows: rows[:, 0] == CornerKind.JAMB,
+KINDS = {  # kind, and whether it is convex where that matters
+    "concave crossing": (CornerKind.CROSSING, 0.0),
+    "convex crossing": (CornerKind.CROSSING, 1.0),
+    "free end": (CornerKind.FREE_END, None),
+    "jamb": (CornerKind.JAMB, None),
 }
 RECALLS = "`recall` counts detectable corners, `recall_rest` all others in line of sight (posts of doors among them)."
 STAGES = ("sweeps", "clustering", "segments", "corners")
-
-GATES = (
-    Gate("presets/paper K=4/precision", "share", 0.003),
-    Gate("presets/paper K=4/recall", "share", 0.02),
-    Gate("presets/paper K=4/NIS", "error", 1.2),
-    Gate("presets/paper K=4/rms_error_m", "error", 1.2),
-    Gate("presets/paper K=1/precision", "share", 0.005),
-    Gate("presets/paper K=1/recall", "share", 0.02),
-    Gate("presets/lms200 K=4/NIS", "error", 1.3),
-    Gate("presets/paper K=4/us/total", "time", 1.3),
-    Gate("presets/paper K=1/us/total", "time", 1.3),
-)
+RATES = ("corners", "precision", "recall", "recall_rest", "NIS")
 
 
 def run(options: Options) -> Figures:
@@ -66,7 +54,7 @@ def run(options: Options) -> Figures:
     }
 
 
-def key_of(preset: tuple[str, int]) -> str:
+def key_of(preset: Preset) -> str:
     """The name of a preset in the results."""
     return f"{preset[0]} K={preset[1]}"
 
@@ -93,12 +81,13 @@ def rates(scores: Sequence[Score]) -> Figures:
     """Precision, recall of detectable corners and of the rest, mean NIS, with intervals over poses."""
     rows = [score.table for score in scores]
     right = [r[r[:, 5] == 1.0] for r in rows]
+    found, visible = np.array([s.found for s in scores]).T, np.array([s.visible for s in scores]).T
     return {
-        "corners": sum(len(r) for r in rows),
-        "precision": ratio([len(r) for r in right], [len(r) for r in rows]),
-        "recall": ratio([s.found[0] for s in scores], [s.visible[0] for s in scores]),
-        "recall_rest": ratio([s.found[1] for s in scores], [s.visible[1] for s in scores]),
-        "NIS": ratio([r[:, 4].sum() for r in right], [len(r) for r in right]),
+        "corners": sum(map(len, rows)),
+        "precision": ratio(list(map(len, right)), list(map(len, rows))),
+        "recall": ratio(found[0], visible[0]),
+        "recall_rest": ratio(found[1], visible[1]),
+        "NIS": ratio([r[:, 4].sum() for r in right], list(map(len, right))),
     }
 
 
@@ -106,18 +95,22 @@ def summary(scores: Sequence[Score]) -> Figures:
     """All results of one preset."""
     rows = np.concatenate([score.table for score in scores])
     right = rows[rows[:, 5] == 1.0]
-    seconds = np.array([score.seconds for score in scores])
-    doors = np.array([score.doors for score in scores])
+    seconds, doors = (np.array([getattr(score, name) for score in scores]) for name in ("seconds", "doors"))
+    us = 1e6 * np.median(np.column_stack([seconds, seconds.sum(axis=1)]), axis=0)
     return {
         **rates(scores),
         "rms_error_m": float(np.sqrt(np.mean(right[:, 3] ** 2))),
         "NIS_over_13.8": float(np.mean(right[:, 4] > 13.82)),
-        "NIS_by_kind_and_range": {name: by_range(right[select(right)]) for name, select in KINDS.items()},
+        "NIS_by_kind_and_range": {name: by_range(right[of_kind(right, *kind)]) for name, kind in KINDS.items()},
         "doors_found": ratio(doors[:, 1], doors[:, 0]),
         "false_doors": int(doors[:, 2].sum()),
-        "us": {name: float(1e6 * np.median(seconds[:, k])) for k, name in enumerate(STAGES)}
-        | {"total": float(1e6 * np.median(seconds.sum(axis=1)))},
+        "us": dict(zip((*STAGES, "total"), us.tolist(), strict=True)),
     }
+
+
+def of_kind(rows: Array, kind: CornerKind, convex: float | None) -> Array:
+    """Which of the corners are of a kind."""
+    return (rows[:, 0] == kind) & ((rows[:, 1] == convex) if convex is not None else True)
 
 
 def by_range(right: Array) -> Figures:
@@ -128,17 +121,19 @@ def by_range(right: Array) -> Figures:
 
 def report(figures: Figures) -> str:
     """The page: presets, calibration, layouts, thresholds, times."""
-    presets: dict[str, Any] = figures["presets"]
+    presets = figures["presets"]
     names = ("precision", "recall", "recall_rest", "rms_error_m", "NIS", "NIS_over_13.8", "doors_found", "false_doors")
-    calibrations = {key: calibration(preset) for key, preset in presets.items()}
-    thresholds = {key: rate_table(rows) for key, rows in figures["thresholds"].items()}
-    us = {key: preset["us"] for key, preset in presets.items()}
+    thresholds = {key: table_of("", RATES, rows) for key, rows in figures["thresholds"].items()}
     parts = {
         "Corners and doors": f"{RECALLS}\n\n{table_of('preset', names, presets)}",
-        "Calibration: mean NIS by kind and range (2 expected)": below(calibrations),
-        "Layouts, paper K=4": rate_table(figures["layouts"]),
+        "Calibration: mean NIS by kind and range (2 expected)": below(
+            {k: calibration(of) for k, of in presets.items()}
+        ),
+        "Layouts, paper K=4": table_of("", RATES, figures["layouts"]),
         "Clustering thresholds": below(thresholds),
-        "Time, microseconds (median)": whole_rows(["preset", *STAGES, "total"], us),
+        "Time, microseconds (median)": whole_rows(
+            ["preset", *STAGES, "total"], {key: preset["us"] for key, preset in presets.items()}
+        ),
     }
     said = f"{figures['poses']} random poses in {', '.join(figures['layouts'])}; 95 % intervals over poses."
     return f"{said}\n\n{sections(parts)}"
@@ -155,8 +150,3 @@ def calibration(preset: Figures) -> str:
     bins = list(next(iter(kinds.values())))
     rows = [[kind, *(f"{readable(cells[b])} ({cells[b]['n']})" for b in bins)] for kind, cells in kinds.items()]
     return table(["kind", *bins], rows)
-
-
-def rate_table(rows: dict[str, Figures]) -> str:
-    """Precision, recall and NIS per row."""
-    return table_of("", ("corners", "precision", "recall", "recall_rest", "NIS"), rows)

@@ -10,33 +10,41 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import paper_plots
-from benchmarks.common import Figures, Gate, Options
+from benchmarks.common import Figures, Options
 from benchmarks.drives import Drive
-from benchmarks.polygon_centres import Centre, in_the_map, in_the_scan
+from benchmarks.paper_plots import Centre, in_the_map, in_the_scan
 from benchmarks.records import Course, Records
 from benchmarks.tables import flatten, sections, table
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.metrics import AssociationLog
+from mecp_env.floorplans.plan_view import floor_plan
+from mecp_env.render.figures import map_figure
+from mecp_env.render.plan_figures import plans_figure
+from mecp_env.render.shapes import SceneView
 from mecp_env.slam import Scan, SlamOutput, SlamPipeline
+from mecp_env.world.layout import load_layout
 
 LAYOUT, SEED = "paper", 0
+TITLES = {
+    "fig2": "one sweep of the laser",
+    "fig3": "the dense scan: four sweeps",
+    "fig4": "mean of Gaussians of a polygon",
+    "fig5": "polygons of the first two rooms",
+    "fig6": "the hierarchy of data association",
+    "fig7": "the environment",
+    "fig8": "the map of EKF-SLAM with MECP association",
+}
 FIRST_SCANS = 120  # figures 2 and 3 are of one of these
 NEAR_WALL_M, SPARSE_M, LEAST_HITS = 0.2, 0.12, 6  # of a face: hits that belong to it, and what spacing is sparse
 MARGIN_M = 1.0  # around nearly all hits
 FIRST_ROOMS = 2  # of figure 5
-GATES = (
-    Gate("fig3/hits_per_m", "share", 2.0),
-    Gate("fig6/shared_vertices", "bound", 0.0),
-    Gate("fig8/rmse_mm", "error", 1.5),
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -48,7 +56,6 @@ class Shown:
     scan: int  # of figures 2 and 3
     sparse: list[Array]  # (2,2) m, world: stretches of wall there that one sweep hits seldom
     centres: dict[str, Centre]  # of figure 4: in the scan and in the map
-    recognised: int  # the scan of figure 4
     early: int  # the scan of figure 5
     identity: Ints  # (F,) true corner of each feature
 
@@ -56,13 +63,14 @@ class Shown:
 def run(options: Options) -> Figures:
     """The numbers of every figure."""
     shown = gather(options.records)
+    outline = shown.drive.truth.outline
     return {
         "fig2": hits_of(shown, slice(0, 1)),
         "fig3": hits_of(shown, slice(None)),
         "fig4": {where: of_centre(centre) for where, centre in shown.centres.items()},
         "fig5": {"scans": shown.early, **polygons_of(shown.outputs[shown.early])},
         "fig6": polygons_of(shown.outputs[-1]),
-        "fig7": {"rooms": len(shown.drive.truth.outline.rooms), "doors": len(shown.drive.truth.outline.doors.width)},
+        "fig7": {"rooms": len(outline.rooms), "doors": len(outline.doors.width)},
         "fig8": errors_of(shown),
     }
 
@@ -70,20 +78,27 @@ def run(options: Options) -> Figures:
 def pictures(options: Options) -> dict[str, Figure]:
     """The figures by name."""
     shown = gather(options.records)
-    world = paper_plots.World(shown.drive.truth.outline, shown.drive.T_world_robot[0])
-    at = shown.drive.T_world_robot[shown.scan]
-    scan, early, final = shown.drive.scans[shown.scan], shown.outputs[shown.early], shown.outputs[-1]
+    at, scan = shown.drive.T_world_robot[shown.scan], shown.drive.scans[shown.scan]
     dense = to_map(at, points_of(scan, slice(None)))
     limits = np.percentile(dense, 1.0, axis=0) - MARGIN_M, np.percentile(dense, 99.0, axis=0) + MARGIN_M
+    final = view_of(shown, len(shown.outputs) - 1)
     return {
         "fig2": paper_plots.scan_figure(at, to_map(at, points_of(scan, slice(0, 1))), shown.sparse, limits),
         "fig3": paper_plots.scan_figure(at, dense, shown.sparse, limits),
         "fig4": paper_plots.centre_figure(shown.centres),
-        "fig5": paper_plots.polygon_figure(world, early),
-        "fig6": paper_plots.hierarchy_figure(world, final),
-        "fig7": paper_plots.environment_figure(world),
-        "fig8": paper_plots.map_figure(world, final),
+        "fig5": paper_plots.hierarchy_figure(view_of(shown, shown.early)),
+        "fig6": paper_plots.hierarchy_figure(final),
+        "fig7": plans_figure([floor_plan(load_layout(LAYOUT))]),
+        "fig8": map_figure(final),
     }
+
+
+def view_of(shown: Shown, step: int) -> SceneView:
+    """What is known after a scan."""
+    poses = np.array(shown.drive.T_world_robot[: step + 1])
+    path = np.array([output.belief.T_map_robot[:2] for output in shown.outputs[: step + 1]])
+    segments = shown.drive.truth.outline.segments
+    return SceneView(segments, poses[-1], poses[0], poses[:, :2], path, shown.outputs[step], title=LAYOUT)
 
 
 @cache
@@ -97,9 +112,8 @@ def gather(records: Path | None) -> Shown:
         log.record(output, drive.truth.identify(output.corners, T_world_robot))
     chosen = max(range(FIRST_SCANS), key=lambda step: length_of(sparse_stretches(drive, step)))
     early = next(k for k, output in enumerate(outputs) if len(output.graph.rooms) > FIRST_ROOMS) - 1
-    recognised, centres = recognised_polygon(outputs, pipeline)
     sparse = sorted(sparse_stretches(drive, chosen), key=lambda ends: -length_of([ends]))[:3]
-    return Shown(drive, outputs, chosen, sparse, centres, recognised, early, log.features[:, 0])
+    return Shown(drive, outputs, chosen, sparse, recognised_polygon(outputs, pipeline), early, log.features[:, 0])
 
 
 def points_of(scan: Scan, sweeps: slice) -> Array:
@@ -131,47 +145,42 @@ def length_of(stretches: list[Array]) -> float:
     return float(sum(np.linalg.norm(b - a) for a, b in stretches))
 
 
-def recognised_polygon(outputs: list[SlamOutput], pipeline: SlamPipeline) -> tuple[int, dict[str, Centre]]:
-    """The scan that recognised the polygon with most vertices, and that polygon in the scan and in the final map."""
+def recognised_polygon(outputs: list[SlamOutput], pipeline: SlamPipeline) -> dict[str, Centre]:
+    """The recognised polygon with most vertices, in its scan and in the final map."""
     seen = [
-        (step, polygon.corners, output.match.ids[polygon.corners])
-        for step, output in enumerate(outputs)
+        (output, polygon.corners, output.match.ids[polygon.corners])
+        for output in outputs
         for polygon in output.polygons
         if output.match.polygon >= 0
     ]
     known = [one for one in seen if all(pipeline.filter.has(int(i)) for i in one[2])]
-    step, corners, ids = max(known, key=lambda one: len(one[2]))
-    return step, {"scan": in_the_scan(outputs[step].polygon_corners, corners), "map": in_the_map(pipeline.filter, ids)}
+    output, corners, ids = max(known, key=lambda one: len(one[2]))
+    return {"scan": in_the_scan(output.polygon_corners, corners), "map": in_the_map(pipeline.filter, ids)}
 
 
 def hits_of(shown: Shown, sweeps: slice) -> Figures:
     """How many hits the scan has, and how many per metre of the sparse stretches."""
-    points = points_of(shown.drive.scans[shown.scan], sweeps)
-    p_world = to_map(shown.drive.T_world_robot[shown.scan], points)
-    on = sum(len(hits_along(p_world, start, end)[1]) for start, end in shown.sparse)
-    return {"hits": len(points), "sparse_m": length_of(shown.sparse), "hits_per_m": on / length_of(shown.sparse)}
+    points = to_map(shown.drive.T_world_robot[shown.scan], points_of(shown.drive.scans[shown.scan], sweeps))
+    on, sparse_m = sum(len(hits_along(points, *ends)[1]) for ends in shown.sparse), length_of(shown.sparse)
+    return {"hits": len(points), "sparse_m": sparse_m, "hits_per_m": on / sparse_m}
 
 
 def of_centre(centre: Centre) -> Figures:
     """Standard deviations of vertices and centre."""
-    vertex, middle = centre.sigmas_m
-    share = centre.variance_share
-    return {"vertices": len(centre.points), "vertex_mm": 1e3 * vertex, "centre_mm": 1e3 * middle, "share": share}
+    vertex, middle = (1e3 * sigma for sigma in centre.sigmas_m)
+    return {"vertices": len(centre.points), "vertex_mm": vertex, "centre_mm": middle, "share": centre.variance_share}
 
 
 def polygons_of(output: SlamOutput) -> Figures:
     """Rooms, doors, polygons of landmarks, and the vertices that polygons of different rooms share."""
-    whole = paper_plots.whole_polygons(output)
-    rooms: dict[int, set[int]] = {}
-    for polygon in whole:
-        rooms.setdefault(output.graph.resolve(polygon.room), set()).update(map(int, polygon.ids))
-    shared = sum(len(rooms[a] & rooms[b]) for a in rooms for b in rooms if a < b)
+    found = paper_plots.by_room(output)
+    vertices = [{int(i) for polygon in polygons for i in polygon.ids} for polygons in found.values()]
     return {
         "rooms": len(output.graph.rooms),
-        "rooms_with_polygons": len(rooms),
+        "rooms_with_polygons": len(found),
         "doors": len(output.graph.doors),
-        "polygons": len(whole),
-        "shared_vertices": shared,
+        "polygons": sum(map(len, found.values())),
+        "shared_vertices": sum(len(a & b) for k, a in enumerate(vertices) for b in vertices[:k]),
     }
 
 
@@ -180,11 +189,11 @@ def errors_of(shown: Shown) -> Figures:
     belief, corners = shown.outputs[-1].belief, shown.drive.truth.outline.corners
     true = shown.identity[belief.ids]
     offset = to_map(shown.drive.T_world_robot[0], belief.p_map)[true >= 0] - corners.p_world[true[true >= 0]]
-    path = np.array(shown.drive.T_world_robot)[:, :2]
+    steps = np.diff(np.array(shown.drive.T_world_robot)[:, :2], axis=0)
     return {
         "landmarks": len(belief.ids),
         "rmse_mm": 1e3 * float(np.sqrt((offset**2).sum(axis=1).mean())),
-        "path_m": float(sum(np.linalg.norm(b - a) for a, b in pairwise(path))),
+        "path_m": float(np.hypot(*steps.T).sum()),
     }
 
 
@@ -192,7 +201,7 @@ def report(figures: Figures) -> str:
     """The pictures, each with its numbers."""
     return sections(
         {
-            f"Figure {name[3:]}: {paper_plots.TITLES[name]}": f"![{paper_plots.TITLES[name]}](figures/{name}.png)\n\n"
+            f"Figure {name[3:]}: {TITLES[name]}": f"![{TITLES[name]}](figures/{name}.png)\n\n"
             + table(["figure", "value"], flatten(numbers).items())
             for name, numbers in figures.items()
         }

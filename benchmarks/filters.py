@@ -1,4 +1,4 @@
-"""The filters: microseconds per call by map size, and consistency (NEES) on a ring of rooms.
+"""The filters: consistency (NEES) on a ring of rooms.
 
 Correspondences are known, so that only the filter is measured. The expected NEES of a pose is 3; the 95 % band of the
 mean of 60 runs is 2.41-3.65.
@@ -6,21 +6,13 @@ mean of 60 runs is 2.41-3.65.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from functools import partial
-
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
+from benchmarks.common import Figures, Options, estimate, in_parallel
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
 from benchmarks.tables import table_of
-from mecp_env.core.carriers import Array
-from mecp_env.core.sensors import Odometry
-from mecp_env.slam.config import FilterConfig
-from mecp_env.slam.filters import FILTERS, make_filter
+from mecp_env.slam.filters import FILTERS
 
-LANDMARKS = (25, 50, 100, 200)
-CORNERS = 12  # per scan
 READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
     "per_metre": (per_metre, 0.25),
     "per_step_0.25_m": (per_step, 0.25),
@@ -28,23 +20,14 @@ READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
     "linear": (linear, 0.25),
 }
 
-GATES = (
-    Gate("time_us/riekf/100/update", "time", 1.3),
-    Gate("time_us/riekf/100/predict", "time", 1.3),
-    Gate("nees/per_metre/riekf/lap_2", "error", 1.25),
-)
-
 
 def run(options: Options) -> Figures:
-    """Times of all filters, and their NEES and error for every reading of the paper's odometry noise."""
-    runs = 8 if options.quick else 60
-    cases = [(reading, kind, runs) for reading in READINGS for kind in FILTERS]
+    """NEES and error of all filters for every reading of the paper's odometry noise."""
+    cases = [(reading, kind, 8 if options.quick else 60) for reading in READINGS for kind in FILTERS]
     nees: Figures = {reading: {} for reading in READINGS}
-    measured = in_parallel(consistency, Figures, cases, options)
-    for (reading, kind, _), figures in zip(cases, measured, strict=True):
+    for (reading, kind, _), figures in zip(cases, in_parallel(consistency, Figures, cases, options), strict=True):
         nees[reading][kind] = figures
-    times = {kind: {str(count): times_us(kind, count) for count in LANDMARKS} for kind in FILTERS}
-    return {"time_us": times, "nees": nees}
+    return {"nees": nees}
 
 
 def consistency(case: tuple[str, str, int]) -> Figures:
@@ -64,51 +47,11 @@ def consistency(case: tuple[str, str, int]) -> Figures:
     }
 
 
-def times_us(kind: str, count: int) -> Figures:
-    """Microseconds per call with `count` landmarks, a scan of 12 corners and polygons with 5 vertices."""
-    calls = prepared_calls(kind, count)
-    return {name: 1e6 * best_of(call, repeats=15, calls=50) for name, call in calls.items()}
-
-
-def prepared_calls(kind: str, count: int) -> dict[str, Callable[[], object]]:
-    """The calls of one step, ready to be timed."""
-    rng = np.random.default_rng(0)
-    belief = make_filter(FilterConfig(kind=kind))
-    z = np.stack([rng.uniform(1, 10, count), rng.uniform(-3, 3, count)], axis=1)
-    belief.augment(z, sensor_cov(count), np.arange(count))
-    arcs = np.tile([0.05, 0.01], (4, 1))
-    odometry = Odometry(np.zeros((4, 2)), per_metre(arcs)[:, :, None] * np.eye(2), False)
-    ids = np.arange(CORNERS) * (count // CORNERS)
-    z, R = z[ids], sensor_cov(CORNERS)
-    ring_R = np.ascontiguousarray(R[:10, :10])
-    return {
-        "predict": partial(belief.predict, odometry),
-        "update": partial(belief.update, z, R, ids),
-        "innovation": partial(belief.innovation, z, R, ids),
-        "individual_nis": partial(belief.individual_nis, z, np.tile(R[:2, :2], (CORNERS, 1, 1)), belief.ids),
-        "joint_nis": partial(belief.joint_nis, z[:5], ring_R, ids[:5]),
-        "mean_of_gaussians_nis": partial(belief.mean_of_gaussians_nis, z[:5], ring_R, ids[:5]),
-        "belief": belief.belief,
-    }
-
-
-def sensor_cov(count: int) -> Array:
-    """(2n,2n) m, rad: corner covariance for 1 cm and 0.3 degrees."""
-    return np.diag(np.tile([0.01**2, 0.005**2], count))
-
-
 def report(figures: Figures) -> str:
-    """Tables of the times and of the consistency."""
-    times = {f"{kind}, {count}": us for kind, sizes in figures["time_us"].items() for count, us in sizes.items()}
-    nees = {
-        f"{reading}, {kind}": {name: estimated["value"] for name, estimated in row.items()}
+    """One table of the consistency."""
+    rows = {
+        f"{reading}, {kind}": {name: f"{estimated['value']:.2f}" for name, estimated in row.items()}
         for reading, kinds in figures["nees"].items()
         for kind, row in kinds.items()
     }
-    return f"{_rounded('us, landmarks', times, 1)}\n\n{_rounded('NEES (3 expected)', nees, 2)}"
-
-
-def _rounded(head: str, rows: Mapping[str, Mapping[str, float]], digits: int) -> str:
-    """A table of numbers with so many digits behind the point."""
-    texts = {name: {key: f"{value:.{digits}f}" for key, value in row.items()} for name, row in rows.items()}
-    return table_of(head, next(iter(texts.values())), texts)
+    return table_of("NEES (3 expected)", list(next(iter(rows.values()))), rows)

@@ -18,10 +18,9 @@ import gymnasium
 import numpy as np
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options, estimate, in_turns, share
+from benchmarks.common import Figures, Options, estimate, in_turns, share
 from benchmarks.random_actions import RandomDriver, goal, velocity
 from benchmarks.tables import whole_rows
-from mecp_env.env import MecpEnv
 
 BUILDINGS: dict[str, dict[str, Any]] = {
     "PaperMap": {"id": "mecp_env/PaperMap-v0"},
@@ -33,7 +32,6 @@ OFFERED = BUILDINGS | {
 }
 FORMATS = ("dict", "flat", "image", "none")
 BLOCK = {"velocity": 100, "goal": 6}  # actions
-GATES = tuple(Gate(f"time/{name}, {actions}/flat", "bound", 1.0) for name in BUILDINGS for actions in BLOCK)
 
 
 def run(options: Options) -> Figures:
@@ -46,10 +44,11 @@ def run(options: Options) -> Figures:
 def compare(name: str, actions: str, rounds: int) -> Figures:
     """Milliseconds per control step of each format, and their ratios to "dict", over the rounds after the first."""
     drivers = {word: driver_of(name, actions, word) for word in FORMATS}
-    blocks = {word: partial(block_ms, driver, BLOCK[actions]) for word, driver in drivers.items()}
-    ms = in_turns(blocks, rounds + 1)[1:]  # the first loads compiled functions
-    ratios = {word: estimate(np.array([one[word] / one["dict"] for one in ms])) for word in FORMATS[1:]}
-    return {"dict_ms": estimate(np.array([one["dict"] for one in ms])), **ratios}
+    blocks = {word: partial(driver.seconds_per_step, BLOCK[actions]) for word, driver in drivers.items()}
+    turns = in_turns(blocks, rounds + 1)[1:]  # the first loads compiled functions
+    seconds = {word: np.array([turn[word] for turn in turns]) for word in FORMATS}
+    ratios = {word: estimate(seconds[word] / seconds["dict"]) for word in FORMATS[1:]}
+    return {"dict_ms": estimate(1e3 * seconds["dict"]), **ratios}
 
 
 def driver_of(name: str, actions: str, observation: str) -> RandomDriver:
@@ -60,18 +59,9 @@ def driver_of(name: str, actions: str, observation: str) -> RandomDriver:
     return RandomDriver(env, velocity if actions == "velocity" else goal)
 
 
-def block_ms(driver: RandomDriver, actions: int) -> float:
-    """CPU time per control step of a block of actions, resets left out."""
-    before = driver.processor_s
-    steps = sum(driver.step() for _ in range(actions))
-    return 1e3 * (driver.processor_s - before) / steps
-
-
 def make(name: str, **fields: Any) -> Any:
     """The environment of a building, without Gymnasium's checks of each step."""
-    own = dict(OFFERED[name])
-    env: Any = gymnasium.make(own.pop("id"), disable_env_checker=True, **own, **fields)
-    assert isinstance(env.unwrapped, MecpEnv)
+    env: Any = gymnasium.make(**OFFERED[name], disable_env_checker=True, **fields)
     return env.env  # without the check of the order of reset and step
 
 
@@ -82,8 +72,7 @@ def rows_described(name: str, episodes: int) -> Figures:
     env.action_space.seed(0)
     described, decisions = list[bool](), 0
     for seed in range(episodes):
-        observation, info = env.reset(seed=seed)
-        over = False
+        (observation, info), over = env.reset(seed=seed), False
         while not over:
             described += (observation[valid][info["action_mask"] == 1] == 1.0).tolist()
             decisions += 1

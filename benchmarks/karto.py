@@ -35,12 +35,17 @@ class KartoRun(NamedTuple):
 def run(log: Log, rows: Ints, T_odom_robot: Array) -> KartoRun:
     """OpenKarto on the scans `rows` (n,) of a log, whose laser is at the robot's centre, with odometry (n,3)."""
     from yag_slam.graph_slam import GraphSlam
+    from yag_slam.models import LocalizedRangeScan
     from yag_slam.scan_matching import Scan2DMatcherCpp
 
     slam, online, loops = GraphSlam(Scan2DMatcherCpp({}), Scan2DMatcherCpp({}, loop=True)), [], 0
+    view = float(log.bearings[0]), float(log.bearings[-1]), log.step_rad
+    limits = LEAST_RANGE_M, log.max_range_m, RANGE_SHARE * log.max_range_m
     start = time.thread_time()
     for row, T_odom in zip(rows.tolist(), T_odom_robot.tolist(), strict=True):
-        scan = _scan(log, row, T_odom)
+        # a beam without a return lies beyond what the package trusts
+        ranges = np.nan_to_num(log.ranges[row], nan=log.max_range_m + 1.0).tolist()
+        scan = LocalizedRangeScan(ranges, *view, *limits, *T_odom)
         _, closed = slam.process_scan(scan)
         online.append(_pose(scan.corrected_pose))
         loops += bool(closed)
@@ -50,37 +55,20 @@ def run(log: Log, rows: Ints, T_odom_robot: Array) -> KartoRun:
     return KartoRun(np.array(online), np.array(final), 1e3 * spent / len(rows), loops)
 
 
-def figures(log: Log, rows: Ints, found: KartoRun) -> Figures:
-    """The errors of both paths by the names that `real` has for those of the estimator."""
-    online, final = (_errors(log, rows, T_map_robot) for T_map_robot in (found.online, found.final))
-    scored = online | {f"final_{name}": value for name, value in final.items()}
-    scored |= {"ms_per_scan_mean": found.ms_per_scan, "loops": found.loops}
-    return {f"karto_{name}": value for name, value in scored.items()}
-
-
-def _errors(log: Log, rows: Ints, T_map_robot: Array) -> Figures:
-    """Errors of poses (n,3) against the reference path, and those of the relations."""
-    found: Figures = {}
-    if log.T_ref_robot is not None:
-        error = trajectory_error(T_map_robot, log.T_ref_robot[rows])
-        found |= {"ate_m": error.rmse_m, "ate_deg": math.degrees(error.rmse_rad)}
-    both = {"relations": log.relations, "relations_at_scans": coincident(log.t, log.relations)}
-    for name, relations in both.items():
-        if len(relations):
-            of = relation_error(log.t[rows], T_map_robot, relations)
-            found |= {f"{name}_m": of.mean_m, f"{name}_deg": math.degrees(of.mean_rad)}
-    return found
-
-
-def _scan(log: Log, row: int, T_odom_robot: list[float]) -> Any:
-    """A sweep of a log as the package takes it; a beam without a return lies beyond what it trusts."""
-    from yag_slam.models import LocalizedRangeScan
-
-    ranges = np.nan_to_num(log.ranges[row], nan=log.max_range_m + 1.0).tolist()
-    view = float(log.bearings[0]), float(log.bearings[-1]), log.step_rad
-    limits = LEAST_RANGE_M, log.max_range_m, RANGE_SHARE * log.max_range_m
-    return LocalizedRangeScan(ranges, *view, *limits, *T_odom_robot)
-
-
 def _pose(transform: Any) -> tuple[float, float, float]:
     return transform.x, transform.y, transform.euler[-1]
+
+
+def figures(log: Log, rows: Ints, found: KartoRun) -> Figures:
+    """The errors of both paths by the names that `real` has for those of the estimator."""
+    scored: Figures = {"karto_ms_per_scan_mean": found.ms_per_scan, "karto_loops": found.loops}
+    for prefix, T_map_robot in (("karto_", found.online), ("karto_final_", found.final)):
+        if log.T_ref_robot is not None:
+            error = trajectory_error(T_map_robot, log.T_ref_robot[rows])
+            scored |= {f"{prefix}ate_m": error.rmse_m, f"{prefix}ate_deg": math.degrees(error.rmse_rad)}
+        both = {"relations": log.relations, "relations_at_scans": coincident(log.t, log.relations)}
+        for name, relations in both.items():
+            if len(relations):
+                of = relation_error(log.t[rows], T_map_robot, relations)
+                scored |= {f"{prefix}{name}_m": of.mean_m, f"{prefix}{name}_deg": math.degrees(of.mean_rad)}
+    return scored

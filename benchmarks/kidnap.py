@@ -21,16 +21,16 @@ from __future__ import annotations
 import copy
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
-from benchmarks.drives import Drive
-from benchmarks.errors import WRONG_M, calibration_error, off, roc_area
+from benchmarks.common import Figures, Options, estimate, ratio, runs_of
+from benchmarks.drives import WRONG_M, Drive, calibration_error, off, roc_area
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import columns_of, ratios, table, table_of
+from benchmarks.tables import columns_of, table, table_of
 from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import compose, inverse
@@ -42,35 +42,27 @@ FIRST_BUILDING, MAX_STEPS = 600, 10_000
 EVENTS, QUICK_EVENTS = 10, 3  # events of each kind on a drive
 BEFORE, AFTER, WITHIN = 30, 30, 10  # scans
 READING_M, READING_RAD = 1.0, math.radians(20.0)
-WRONG_RAD = math.radians(10.0)
-DOUBTED = 0.5
+WRONG_RAD, DOUBTED = math.radians(10.0), 0.5
 SHOWN = (0, 1, 2, 3, 4, 6, 8, 10, 15, 20, 29)  # scans after an event, in the figure
 KINDS = ("reading", "carried")
 SHARES = ("noticed", "harmless", "relocalised", "right_at_end")
 SECOND_DRIVE = 1000  # added to the seed
-GATES = tuple(
-    Gate(f"{layout}/{kind}/{name}", "share", 0.05)
-    for layout in SETS
-    for kind in KINDS
-    for name in ("noticed", "relocalised")
-)
 
 
 def run(options: Options) -> Figures:
     """Results of every layout and kind of event."""
-    events = QUICK_EVENTS if options.quick else EVENTS
-    drives = [
-        (f"{layout} {method}".strip(), events, seed) for layout, seed in runs_of(options, SETS) for method in METHODS
-    ]
-    results = on_records(disturb, Figures, drives, options)
-    return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
+    task = partial(disturb, count=QUICK_EVENTS if options.quick else EVENTS)
+    runs = runs_of(options, SETS)
+    drives = [(f"{layout} {method}".strip(), seed) for layout, seed in runs for method in METHODS]
+    return {where: summarise(found) for where, found in on_records(task, Figures, drives, options).items()}
 
 
-def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures:
+def disturb(task: tuple[str, int], records: Records = IN_MEMORY, count: int = EVENTS) -> Figures:
     """What happened in the events on the drive of one layout, associator and seed; per kind a list over events."""
-    where, count, seed = task
+    where, seed = task
     layout, _, method = where.partition(" ")
-    first, second = (records.drive(course(layout, seed, n)) for n in (seed, seed + SECOND_DRIVE))
+    fields, building = {"estimator": "truth", "max_steps": MAX_STEPS}, place(layout, FIRST_BUILDING + seed)
+    first, second = (records.drive(Course(building, start, fields)) for start in (seed, seed + SECOND_DRIVE))
     change = VARIANTS[method or DEFAULT].change
     rng, pipeline = np.random.default_rng(seed), SlamPipeline(with_change(first.slam, change))
     T_map_world, size = inverse(first.T_world_robot[0]), len(first.scans)
@@ -82,13 +74,8 @@ def disturb(task: tuple[str, int, int], records: Records = IN_MEMORY) -> Figures
             readings.append(outcome(misread(first.part(step, AFTER), rng), pipeline, T_map_world))
     starts = rng.choice(np.arange(1, len(second.scans) - AFTER), count, replace=False).tolist()
     carried = [outcome(second.part(start, AFTER), pipeline, T_map_world) for start in starts]
-    before = [trace[k] for step in sorted(wrong) for k in range(max(step - BEFORE, 0), step)]
+    before = [row for step in sorted(wrong) for row in trace[max(step - BEFORE, 0) : step]]
     return {"reading": readings, "carried": carried, "before": before}
-
-
-def course(layout: str, building: int, seed: int) -> Course:
-    """A drive in a building, from a start of its own."""
-    return Course(place(layout, FIRST_BUILDING + building), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
 def misread(event: Drive, rng: np.random.Generator) -> Drive:
@@ -101,37 +88,34 @@ def misread(event: Drive, rng: np.random.Generator) -> Drive:
 
 
 def outcome(event: Drive, mapped: SlamPipeline, T_map_world: Array) -> Figures:
-    """What happened in the scans of an event, on a copy of the map."""
-    noticed = relocalised = accepted = False
-    harmless = was_localised = True
-    trace = []
-    for k, (output, T_world_robot) in enumerate(event.outputs(copy.deepcopy(mapped))):
+    """What happened in the scans of an event, on a copy of the map; `trace`: confidence and error of each."""
+    scans = []
+    for output, T_world_robot in event.outputs(copy.deepcopy(mapped)):
         error_m, error_rad = off(output.belief.T_map_robot, compose(T_map_world, T_world_robot))
         right = error_m < WRONG_M and error_rad < WRONG_RAD
-        noticed |= k < WITHIN and output.confidence < DOUBTED
-        harmless &= right
-        accepted |= output.localised and not was_localised and not right
-        relocalised |= k < WITHIN and output.localised and right
-        was_localised = output.localised
-        trace.append([output.confidence, error_m])
-    found = {"noticed": noticed or harmless, "harmless": harmless, "relocalised": relocalised, "accepted": accepted}
-    return {**found, "right_at_end": output.localised and right, "trace": trace}
+        scans.append((output.confidence, error_m, right, output.localised))
+    confidence, error_m, right, localised = np.array(scans, float).T
+    found = (right > 0) & (localised > 0)
+    resumed = (localised > 0) & (np.append(1.0, localised[:-1]) == 0)  # a pose was accepted after a search
+    return {
+        "noticed": bool((confidence[:WITHIN] < DOUBTED).any() or right.all()),
+        "harmless": bool(right.all()),
+        "relocalised": bool(found[:WITHIN].any()),
+        "accepted": bool((resumed & (right == 0)).any()),
+        "right_at_end": bool(found[-1]),
+        "trace": np.stack([confidence, error_m], axis=1).tolist(),
+    }
 
 
 def summarise(drives: list[Figures]) -> Figures:
     """Results of all drives of a layout, with 95 % intervals over drives."""
-    cells = {kind: of_events([drive[kind] for drive in drives]) for kind in KINDS}
-    traces = [scans_of(drive) for drive in drives]
-    before = [np.array(drive["before"]) for drive in drives]
+    traces, before = [scans_of(drive) for drive in drives], [np.array(drive["before"]) for drive in drives]
     alarms = [((scans[:, 0] < DOUBTED) & (scans[:, 1] < WRONG_M)).sum() for scans in before]
-    cells["confidence"] = {
-        "auc": estimate([roc_area(*of.T) for of in traces]),
-        "calibration": estimate([calibration_error(*of.T) for of in traces]),
-        "auc_of_all": roc_area(*np.concatenate(traces).T),
-        "calibration_of_all": calibration_error(*np.concatenate(traces).T),
-        "false_alarms": ratio(alarms, list(map(len, before))),
-    }
-    return cells
+    scores = {"auc": roc_area, "calibration": calibration_error}
+    confidence: Figures = {name: estimate([score(*of.T) for of in traces]) for name, score in scores.items()}
+    confidence |= {f"{name}_of_all": score(*np.concatenate(traces).T) for name, score in scores.items()}
+    confidence["false_alarms"] = ratio(alarms, list(map(len, before)))
+    return {kind: of_events([drive[kind] for drive in drives]) for kind in KINDS} | {"confidence": confidence}
 
 
 def of_events(drives: list[list[Figures]]) -> Figures:
@@ -144,7 +128,7 @@ def of_events(drives: list[list[Figures]]) -> Figures:
     ]
     of = columns_of(rows)
     return {
-        **ratios(of, **{name: f"{name}/events" for name in SHARES}),
+        **{name: ratio(of[name], of["events"]) for name in SHARES},
         "right_after": [ratio(of[f"right_{k}"], of["events"]) for k in SHOWN],
         "wrong_poses": int(of["accepted"].sum()),
         "events": int(of["events"].sum()),
@@ -154,17 +138,14 @@ def of_events(drives: list[list[Figures]]) -> Figures:
 def scans_of(drive: Figures) -> Array:
     """(n,2) confidence and position error of all scans of a drive's events and before them."""
     traces = [event["trace"] for kind in KINDS for event in drive[kind]]
-    return np.concatenate([np.array(drive["before"]), *map(np.array, traces)])
+    return np.concatenate([np.array(rows) for rows in (drive["before"], *traces)])
 
 
 def figure(figures: Figures) -> Figure:
     """Share of events after which the position is right again, by scans."""
-    panels = {
-        f"{kind}: scans after the event": Panel(
-            [str(k) for k in SHOWN], {name: cells[kind]["right_after"] for name, cells in figures.items()}
-        )
-        for kind in KINDS
-    }
+    ticks = [str(k) for k in SHOWN]
+    lines = {kind: {name: cells[kind]["right_after"] for name, cells in figures.items()} for kind in KINDS}
+    panels = {f"{kind}: scans after the event": Panel(ticks, of) for kind, of in lines.items()}
     return line_panels(panels, "share with an error below 0.5 m")
 
 

@@ -3,17 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.stats import chi2
 
-from benchmarks.drives import Drive
-from benchmarks.errors import nees
+from benchmarks.drives import Drive, nees
 from benchmarks.rough_pose import front_end
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.core.se2 import compose, inverse, to_map, to_robot, wrapped
+from mecp_env.core.se2 import between, compose, inverse, to_map, to_robot, wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Filter, SubmapEkf, make_filter
@@ -24,8 +22,7 @@ OUTLIER_2, OUTLIER_3 = float(chi2.ppf(0.999, 2)), float(chi2.ppf(1.0 - 1e-6, 3))
 SLIP_SIGMAS = np.array([0.5, 0.1, 0.2])  # m, m, rad: what the batch optimum allows for in a step with slip
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sighting:
+class Sighting(NamedTuple):
     """What the robot measured at one pose."""
 
     z: Array  # (n,2) m, rad
@@ -38,8 +35,7 @@ class Sighting:
         return Sighting(self.z[chosen], self.R[np.ix_(rows, rows)], self.ids[chosen])
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Motion:
+class Motion(NamedTuple):
     """The motion to the next pose as it was measured."""
 
     odometry: Odometry  # for the filters
@@ -57,8 +53,7 @@ class Motion:
         return cls(odometry, moved.T_map_robot, cov)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Record:
+class Record(NamedTuple):
     """A drive with known correspondences: what every filter and the batch optimum get."""
 
     start: Array  # (3,) the first pose
@@ -74,6 +69,19 @@ def turned(cov: Array, angle: float) -> Array:
     return R @ cov @ R.T
 
 
+def polar(p_robot: Array) -> Array:
+    """(n,2) m, rad: range and bearing of points (n,2)."""
+    return np.stack([np.hypot(*p_robot.T), np.arctan2(p_robot[:, 1], p_robot[:, 0])], axis=1)
+
+
+def cycle(estimate: Filter, sighting: Sighting, correct: Callable[[Sighting], Any]) -> None:
+    """Correct a filter by the landmarks that it knows, and take in the others."""
+    known = np.isin(sighting.ids, estimate.ids)
+    if known.any():
+        correct(sighting.part(known))
+    estimate.augment(*sighting.part(~known))
+
+
 Correct = Callable[[Filter, Sighting, Odometry | None], None]  # by known landmarks, after a motion or at the start
 
 
@@ -81,15 +89,12 @@ def filtered(record: Record, estimate: Filter, correct: Correct) -> Iterator[Bel
     """Run a filter on a record: predict, `correct`, take in new landmarks; what it believes after each pose."""
     estimate.set_pose(record.start, record.start_cov)
     for motion, sighting in zip([None, *record.motions], record.sightings, strict=True):
-        if motion is not None:
-            estimate.predict(motion.odometry)
+        odometry = motion.odometry if motion else None
+        if odometry is not None:
+            estimate.predict(odometry)
         if motion is not None and motion.lacking is not None:
             estimate.loosen(turned(motion.lacking, estimate.belief().T_map_robot[2]))
-        known = np.isin(sighting.ids, estimate.ids)
-        if known.any():
-            correct(estimate, sighting.part(known), motion.odometry if motion else None)
-        new = sighting.part(~known)
-        estimate.augment(new.z, new.R, new.ids)
+        cycle(estimate, sighting, lambda seen, moved=odometry: correct(estimate, seen, moved))
         yield estimate.belief()
 
 
@@ -104,20 +109,20 @@ def in_order(estimate: Filter) -> tuple[Array, Array]:
 
 def measured(drive: Drive, slips: bool = False) -> tuple[Record, Array, Array]:
     """The record of a drive, its true path (n,3), and the true corners (m,2), in the frame of the first pose."""
-    T_map_world = inverse(drive.T_world_robot[0])
-    corners, config = to_map(T_map_world, drive.truth.outline.corners.p_world), drive.slam.filter
-    motions, sightings, path = list[Motion](), list[Sighting](), list[Array]()
-    for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
-        if odometry is None and sightings:
-            continue  # at rest
-        T_map_robot = compose(T_map_world, T_world_robot)
-        if odometry is not None:
-            motion = Motion.of_odometry(odometry, config)
-            motions.append(with_slip(motion, compose(inverse(path[-1]), T_map_robot)) if slips else motion)
-        sightings.append(seen(drive, scan, T_world_robot, to_robot(T_map_robot, corners)))
-        path.append(T_map_robot)
+    T_world_map, config = drive.T_world_robot[0], drive.slam.filter
+    corners = to_map(inverse(T_world_map), drive.truth.outline.corners.p_world)
+    moving = [k for k, odometry in enumerate(drive.odometry) if odometry is not None or k == 0]  # the others: at rest
+    path = between(T_world_map, np.array([drive.T_world_robot[k] for k in moving]))
+    motions = [Motion.of_odometry(odometry, config) for odometry in drive.odometry if odometry is not None]
+    if slips:
+        steps = between(path[:-1], path[1:])
+        motions = [with_slip(motion, step) for motion, step in zip(motions, steps, strict=True)]
+    sightings = [
+        seen(drive, drive.scans[k], drive.T_world_robot[k], to_robot(T, corners))
+        for k, T in zip(moving, path, strict=True)
+    ]
     sigmas = np.array([config.prior_sigma_m, config.prior_sigma_m, config.prior_sigma_rad])
-    return Record(np.zeros(3), np.diag(sigmas**2), motions, sightings), np.array(path), corners
+    return Record(np.zeros(3), np.diag(sigmas**2), motions, sightings), path, corners
 
 
 def with_slip(motion: Motion, T_true: Array) -> Motion:
@@ -125,7 +130,7 @@ def with_slip(motion: Motion, T_true: Array) -> Motion:
     error = compose(inverse(motion.T), T_true)
     if error @ np.linalg.solve(motion.cov + FLOOR * np.eye(3), error) < OUTLIER_3:
         return motion
-    return Motion(motion.odometry, motion.T, motion.cov + np.diag(SLIP_SIGMAS**2))
+    return motion._replace(cov=motion.cov + np.diag(SLIP_SIGMAS**2))
 
 
 def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sighting:
@@ -133,9 +138,7 @@ def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sight
     corners = front_end(scan, drive.slam)[0]
     true = drive.truth.identify(corners, T_world_robot)
     row = np.flatnonzero((true >= 0) & (true < len(p_robot)))
-    x, y = p_robot[true[row]].T
-    errors = corners.z[row] - np.stack([np.hypot(x, y), np.arctan2(y, x)], axis=1)
+    errors = corners.z[row] - polar(p_robot[true[row]])
     errors[:, 1] = wrapped(errors[:, 1])
-    blocks = np.array([corners.cov[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] for i in row]).reshape(-1, 2, 2)
-    row = row[nees(errors, blocks) < OUTLIER_2]
+    row = row[nees(errors, corners.R[row]) < OUTLIER_2]
     return Sighting(*corners.measurements(row), true[row])

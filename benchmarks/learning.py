@@ -14,14 +14,12 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, steps_per_s
+from benchmarks.common import Figures, Options, estimate, steps_per_s
 from benchmarks.random_actions import RandomDriver, goal, velocity
 from benchmarks.tables import whole_rows
 
-ALGORITHMS = ("maskable_ppo", "ppo")
-RATE, WAITING = "periods_per_s", "waiting_share"
-
-GATES = tuple(Gate(f"{algorithm}/over_single", "share", 0.25) for algorithm in ALGORITHMS)
+ALGORITHMS = {"maskable_ppo": goal, "ppo": velocity}  # and the actions of the single environment
+LOG = {"evaluate_buildings": 0, "tensorboard": False, "checkpoint_s": 86_400.0}  # no evaluations, no checkpoints
 
 
 def run(options: Options) -> Figures:
@@ -32,13 +30,15 @@ def run(options: Options) -> Figures:
 
 def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields: Any) -> Figures:
     """Speed of an algorithm over the rounds; `fields` of the configuration."""
+    from mecp_env.learning.config import TrainConfig
     from mecp_env.learning.environments import make_env
 
-    choose = goal if algorithm == "maskable_ppo" else velocity
-    single = RandomDriver(make_env(configuration(algorithm, fields)), choose)
+    config = TrainConfig.build({"algorithm": algorithm, "log": LOG} | fields)
+    config = config.model_copy(update={"steps": config.ppo.steps * config.environments * updates})
+    single = RandomDriver(make_env(config), ALGORITHMS[algorithm])
     steps_per_s(single.step, seconds)  # loads compiled functions and fills caches
-    measured = [(steps_per_s(single.step, seconds), *train(algorithm, updates, fields)) for _ in range(rounds)]
-    alone, rates, waiting = (np.array(column) for column in zip(*measured, strict=True))
+    measured = [(steps_per_s(single.step, seconds), *train(config, updates)) for _ in range(rounds)]
+    alone, rates, waiting = np.array(measured).T
     return {
         "steps_per_s": estimate(rates),
         "single_per_s": estimate(alone),
@@ -47,25 +47,16 @@ def compare(algorithm: str, rounds: int, seconds: float, updates: int, **fields:
     }
 
 
-def train(algorithm: str, updates: int, fields: dict[str, Any]) -> tuple[float, float]:
+def train(config: Any, updates: int) -> tuple[float, float]:
     """Control steps per second and share of waiting of a training, means of its updates but the first."""
     from mecp_env.learning.train import train as run_training
 
     with tempfile.TemporaryDirectory() as folder:
-        run_training(configuration(algorithm, fields, updates), Path(folder) / "run")
+        run_training(config, Path(folder) / "run")
         with (Path(folder) / "run" / "progress.csv").open() as lines:
             rows = list(csv.DictReader(lines))[1:updates]
-    rate, waiting = (float(np.mean([float(row[name]) for row in rows])) for name in (RATE, WAITING))
+    rate, waiting = (float(np.mean([float(row[name]) for row in rows])) for name in ("periods_per_s", "waiting_share"))
     return rate, waiting
-
-
-def configuration(algorithm: str, fields: dict[str, Any], updates: int = 1) -> Any:
-    """Default settings, without evaluations and checkpoints."""
-    from mecp_env.learning.config import TrainConfig
-
-    log = {"evaluate_buildings": 0, "tensorboard": False, "checkpoint_s": 86_400.0}
-    config = TrainConfig.build({"algorithm": algorithm, "log": log} | fields)
-    return config.model_copy(update={"steps": config.ppo.steps * config.environments * updates})
 
 
 def report(figures: Figures) -> str:

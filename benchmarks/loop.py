@@ -19,17 +19,18 @@ the test split, from number 500 on; the benchmark `worlds` uses those before. Ti
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, is_installed, runs_of
+from benchmarks.common import Figures, Options, is_installed, runs_of
 from benchmarks.drives import Drive
 from benchmarks.kiss import PACKAGE
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
-from benchmarks.rough_pose import count_scans, drawn_looks, figures_of, finish, named
-from benchmarks.tables import by_row, sections, table
+from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
+from benchmarks.rough_pose import COLUMNS, Sigma, count_scans, drawn_looks, finish, named
+from benchmarks.tables import by_row, sections, summary, table
 from benchmarks.variants import DEFAULT, KISS, Variant, own_rows, rows_of
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -42,8 +43,7 @@ VARIANTS = rows_of(
 )
 SETS = {"paper": 20, "hard": 20, "twins": 20}  # drives
 FIRST_BUILDING, MAX_STEPS = 500, 10_000  # the buildings before are those of `worlds`
-SCANS = 20  # per drive
-QUICK_SCANS = 4
+SCANS, QUICK_SCANS = 20, 4  # per drive
 WITHOUT_KISS = "KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing."
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
@@ -54,30 +54,22 @@ TITLES = {
 }
 
 
-GATED = (("paper", DEFAULT), ("paper", "mecp without descriptor"), (HARD, DEFAULT))
-GATES = (
-    *(Gate(f"{layout}/{name}/{named(sigma)}/right", "share", 0.05) for layout, name in GATED for sigma in SIGMAS[3:]),
-    Gate(f"{HARD}/{DEFAULT}/{named(SIGMAS[4])}/wrong", "error", 1.5),
-)
-
-
 def run(options: Options) -> Figures:
     """Results of every set, variant and sigma of the pose."""
-    scans = QUICK_SCANS if options.quick else SCANS
-    drives = [(layout, scans, seed) for layout, seed in runs_of(options, SETS)]
-    results = on_records(compare, dict[str, dict[str, Figures]], drives, options)
-    return {layout: summarise(of_layout) for (layout, _), of_layout in results.items()}
+    task = partial(compare, scans=QUICK_SCANS if options.quick else SCANS)
+    found = on_records(task, dict[str, dict[str, Figures]], runs_of(options, SETS), options)
+    return {layout: summarise(drives) for layout, drives in found.items()}
 
 
 def compare(
-    task: tuple[str, int, int],
+    drive_of: tuple[str, int],
     records: Records = IN_MEMORY,
+    scans: int = SCANS,
     variants: Sequence[str] | None = None,
-    sigmas: Sequence[tuple[float, float]] = SIGMAS,
+    sigmas: Sequence[Sigma] = SIGMAS,
 ) -> dict[str, dict[str, Figures]]:
     """Counts of some variants, by default all, and sigmas on scans of the drive of one layout and seed."""
-    layout, count, seed = task
-    return on_drive(records.drive(course(layout, seed)), count, seed, variants or tuple(all_variants()), sigmas)
+    return on_drive(records.drive(course(*drive_of)), scans, drive_of[1], variants or tuple(all_variants()), sigmas)
 
 
 def all_variants() -> dict[str, Variant]:
@@ -86,7 +78,7 @@ def all_variants() -> dict[str, Variant]:
 
 
 def on_drive(
-    drive: Drive, count: int, seed: int, variants: Sequence[str], sigmas: Sequence[tuple[float, float]]
+    drive: Drive, count: int, seed: int, variants: Sequence[str], sigmas: Sequence[Sigma]
 ) -> dict[str, dict[str, Figures]]:
     """Counts of some variants and sigmas on `count` scans of a drive, drawn by the seed."""
     finished, rng = finish(drive), np.random.default_rng(seed)
@@ -111,7 +103,7 @@ def course(layout: str, seed: int) -> Course:
 def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
     """Results of all drives of a set, with 95 % intervals over drives."""
     rows = by_row(drives)  # the package of a row may not be installed everywhere
-    return {name: {sigma: figures_of(of) for sigma, of in by_row(own).items()} for name, own in rows.items()}
+    return {name: {sigma: summary(of, COLUMNS) for sigma, of in by_row(own).items()} for name, own in rows.items()}
 
 
 def report(figures: Figures) -> str:

@@ -10,7 +10,6 @@ says so, and the room is unknown; the fastest of three calls counts. Means over 
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 from functools import partial
@@ -20,11 +19,11 @@ from matplotlib.figure import Figure
 
 from benchmarks import loop
 from benchmarks.clutter import cluttered
-from benchmarks.common import Figures, Gate, Options, best_of, estimate, in_parallel
+from benchmarks.common import Figures, Options, estimate, in_parallel
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.rough_pose import front_end, rough_view
+from benchmarks.rough_pose import Look, decided, front_end, rough_view
 from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import compose, inverse, to_robot
@@ -37,29 +36,19 @@ COUNTS, QUICK = (25, 50, 100, 200, 500, 1000, 2000), (25, 50)
 FILTERS, ASSOCIATORS = "filters", "associators"
 FIRST, SCANS, APART_M = 25, 12, 50.0
 SPURIOUS = 0.25  # per corner: a fifth of all
-SIGMAS = np.array([0.3, 0.3, math.radians(3.0)])
+SIGMA = (0.3, 3.0)  # m, deg: of the pose
 ROOMS, CALLS = 1000, 3  # numbers of rooms between copies; of which the fastest counts
 NOT_TIMED = ("known",)  # looks up the truth
 SEED, SIGMA_M = 0, 0.01
 
-GATES = (
-    Gate(f"{ASSOCIATORS}/mecp/500", "time", 1.5),
-    Gate(f"{FILTERS}/riekf_submaps/500", "time", 1.5),
-)
-
 
 def run(options: Options) -> Figures:
     """Milliseconds by part, name and number of landmarks."""
-    kinds = [*KINDS.ours, *KINDS.others]
-    methods = [name for name in associators() if name not in NOT_TIMED]
-    tasks = [
-        (part, name, count)
-        for count in (QUICK if options.quick else COUNTS)
-        for part, names in ((FILTERS, kinds), (ASSOCIATORS, methods))
-        for name in names
-    ]
+    names = {FILTERS: [*KINDS.ours, *KINDS.others], ASSOCIATORS: [n for n in associators() if n not in NOT_TIMED]}
+    counts = QUICK if options.quick else COUNTS
+    tasks = [(part, name, count) for count in counts for part, of in names.items() for name in of]
     task = partial(measure, records=Records(options.records))
-    figures: Figures = {FILTERS: {name: {} for name in kinds}, ASSOCIATORS: {name: {} for name in methods}}
+    figures: Figures = {part: {name: {} for name in of} for part, of in names.items()}
     for (part, name, count), ms in zip(tasks, in_parallel(task, list[float], tasks, options), strict=True):
         figures[part][name][str(count)] = estimate(ms)
     return figures
@@ -68,20 +57,15 @@ def run(options: Options) -> Figures:
 def measure(task: tuple[str, str, int], records: Records = IN_MEMORY) -> list[float]:
     """Milliseconds of each scan."""
     part, name, count = task
-    return TIMED[part](records.drive(loop.course("paper", SEED)), name, count)
+    return (step_ms if part == FILTERS else association_ms)(records.drive(loop.course("paper", SEED)), name, count)
 
 
 def step_ms(drive: Drive, name: str, count: int) -> list[float]:
     """Milliseconds of each step with a filter, CPU time of this thread."""
     pipeline, first = enlarged(drive, with_change(drive.slam, {"filter": {"kind": name}}), count)
-    ms = []
-    part = drive.part(first, SCANS)
-    for odometry, scan in zip(part.odometry, part.scans, strict=True):
-        assert odometry is not None
-        start = time.thread_time()
-        pipeline.step(odometry, scan)
-        ms.append(1e3 * (time.thread_time() - start))
-    return ms
+    clock = [time.thread_time()]
+    clock += [time.thread_time() for _ in drive.part(first, SCANS).outputs(pipeline)]
+    return (1e3 * np.diff(clock)).tolist()
 
 
 def association_ms(drive: Drive, name: str, count: int) -> list[float]:
@@ -93,9 +77,9 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
         corners, beams, wall = front_end(drive.scans[number], drive.slam)
         corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
         polygons = find_structure(corners, beams, drive.slam.polygon, wall)
-        T_map_robot = compose(T_map_world, drive.T_world_robot[number])
-        view, belief = rough_view(pipeline, T_map_robot + rng.normal(size=3) * SIGMAS, SIGMAS, len(corners))
-        ms.append(1e3 * best_of(partial(associator.associate, corners, polygons, view, belief), CALLS))
+        unknown = np.full(len(corners), -1)
+        seen = Look(corners, polygons, unknown, compose(T_map_world, drive.T_world_robot[number]))
+        ms.append(decided(associator, seen, *rough_view(pipeline, seen, SIGMA, rng.normal(size=3)), CALLS)[1])
     return ms
 
 
@@ -136,9 +120,6 @@ def copy_polygons(pipeline: SlamPipeline, own: tuple[MapPolygon, ...], to: dict[
             store.polygons.append(replace(polygon, ids=ring, room=polygon.room + rooms))
     store.row, store.outdated = {}, True  # indexed again
     store.prune(pipeline.map.features, pipeline.rooms.resolve)
-
-
-TIMED = {FILTERS: step_ms, ASSOCIATORS: association_ms}
 
 
 def report(figures: Figures) -> str:

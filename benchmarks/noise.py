@@ -27,11 +27,11 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, Options, runs_of, share
+from benchmarks.common import Figures, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import by_row, columns_of, means, precision_and_recall, ratios, sections, table_of
+from benchmarks.tables import by_row, sections, summary, table_of
 from benchmarks.variants import DEFAULT, Variant, own_rows, replays, rows_of
 from mecp_env.core.sensors import Odometry, Scan
 
@@ -39,6 +39,10 @@ LAYOUT = "paper"
 VARIANTS = rows_of(
     *(DEFAULT, "mecp without polygons", "mecp in one pass", "jcbb with descriptor", "ccda with descriptor", "known")
 )
+SLIP_MOST, SLIP_TURN_RAD = 3.0, np.radians(10.0)
+COLUMNS = ("rmse_m", "nees", "precision", "recall", "map_rmse_m", "landmarks_false", "duplicates", "lost")
+COLUMNS += ("associate_ms",)
+OF_RANGE = ("far", "phantoms")
 
 
 def narrowed(scan: Scan, degrees: float) -> Scan:
@@ -76,7 +80,6 @@ def slip(odometry: Odometry | None, rng: np.random.Generator, share: float) -> O
     return replace(odometry, increments=increments)
 
 
-SLIP_MOST, SLIP_TURN_RAD = 3.0, np.radians(10.0)
 BASE = "odometry_x1"  # with a range of 30 m, a view of 360 degrees, and 720 beams
 RECORDED: dict[str, dict[str, Any]] = {  # cell -> the sensors of its drives
     BASE: {},
@@ -84,14 +87,10 @@ RECORDED: dict[str, dict[str, Any]] = {  # cell -> the sensors of its drives
     **{f"range_{metres}_m": {"laser": {"max_range_m": float(metres)}} for metres in (10, 6, 4)},
 }
 CHANGED: dict[str, Callable[[Drive, int], Drive]] = {  # cell -> what it makes of a drive of BASE and its seed
-    **{
-        f"view_{degrees}_deg": partial(rescanned, cut=partial(narrowed, degrees=float(degrees)))
-        for degrees in (270, 180)
-    },
+    **{f"view_{wide}_deg": partial(rescanned, cut=partial(narrowed, degrees=float(wide))) for wide in (270, 180)},
     **{f"beams_{720 // every}": partial(rescanned, cut=partial(thinned, every=every)) for every in (2, 4, 8)},
     **{f"slip_{percent}_pct": partial(slipped, share=percent / 100.0) for percent in (1, 5)},
 }
-CELLS = (*RECORDED, *CHANGED)
 AXES = {  # of the figure: sensor -> cells and their names
     "odometry noise": {BASE: "x1", "odometry_x2": "x2", "odometry_x4": "x4", "odometry_x8": "x8"},
     "range": {BASE: "30 m", "range_10_m": "10 m", "range_6_m": "6 m", "range_4_m": "4 m"},
@@ -99,13 +98,7 @@ AXES = {  # of the figure: sensor -> cells and their names
     "beams": {BASE: "720", "beams_360": "360", "beams_180": "180", "beams_90": "90"},
     "steps with slip": {BASE: "0", "slip_1_pct": "1 %", "slip_5_pct": "5 %"},
 }
-SETS = dict.fromkeys(CELLS, 20)
-
-GATES = tuple(
-    Gate(f"{cell}/{DEFAULT}/{figure}", kind, slack)  # type: ignore[arg-type]
-    for cell in ("odometry_x1", "odometry_x4", "odometry_x8", "range_4_m", "view_180_deg")
-    for figure, kind, slack in (("precision", "share", 0.003), ("recall", "share", 0.01), ("rmse_m", "error", 1.5))
-)
+SETS = dict.fromkeys((*RECORDED, *CHANGED), 20)
 
 
 def run(options: Options) -> Figures:
@@ -140,36 +133,20 @@ def source(cell: str) -> str:
 @lru_cache(1)
 def recorded(cell: str, seed: int, records: Records = IN_MEMORY) -> Drive:
     """A drive with the sensors of a cell."""
-    return records.drive(course(cell, seed))
-
-
-def course(cell: str, seed: int) -> Course:
-    """What is driven with the sensors of a cell."""
-    return Course(LAYOUT, seed, {"estimator": "truth", **RECORDED[cell]})
+    return records.drive(Course(LAYOUT, seed, {"estimator": "truth", **RECORDED[cell]}))
 
 
 def summarise(drives: list[Figures]) -> Figures:
     """Results of all drives of a cell, each with its 95 % interval over drives."""
-    columns = columns_of(drives)
-    return {
-        **means(columns, "rmse_m", "nees"),
-        **precision_and_recall(columns),
-        **means(columns, "map_rmse_m", "landmarks_false", "duplicates"),
-        "lost": share(columns["lost"] > 0),
-        **ratios(columns, phantoms="phantoms/far"),
-        "far": int(columns["far"].sum()),
-        **means(columns, "associate_ms"),
-    }
+    return summary(drives, (*COLUMNS, *OF_RANGE))
 
 
 def report(figures: Figures) -> str:
     """One table per cell with one row per variant."""
-    columns = ["rmse_m", "nees", "precision", "recall", "map_rmse_m", "landmarks_false", "duplicates", "lost"]
-    columns += ["associate_ms"]
     return sections(
         {
             f"{cell} ({variants[DEFAULT]['rmse_m']['n']} drives)": table_of(
-                "variant", [*columns, "far", "phantoms"] if cell.startswith("range") else columns, variants
+                "variant", (*COLUMNS, *OF_RANGE) if cell.startswith("range") else COLUMNS, variants
             )
             for cell, variants in figures.items()
         }

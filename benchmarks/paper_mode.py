@@ -13,9 +13,9 @@ from typing import Any
 
 from benchmarks import association
 from benchmarks.association import IDEAL
-from benchmarks.common import Figures, Gate, Options
+from benchmarks.common import Figures, Options
 from benchmarks.records import IN_MEMORY, Records, on_drives
-from benchmarks.tables import columns_of, ratios, sections, table_of
+from benchmarks.tables import sections, summary, table_of
 from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
 SETS = {"paper": 60, IDEAL: 15}
@@ -36,27 +36,16 @@ ROWS = {
 COLUMNS = ("precision", "recall", "closure_recall", "false_closures", "duplicates_per_corner", "swapped_per_1000")
 COLUMNS += ("found", "recognised", "rmse_m", "map_rmse_m", "nees", "landmark_nees", "lost")
 
-GATES = (
-    Gate("paper/mecp_paper/precision", "share", 0.03),
-    Gate(f"paper/{LETTER}/precision", "share", 0.03),
-)
-
 
 def run(options: Options) -> Figures:
     """Results of both readings and every row."""
     runs = on_drives(measure, SETS, options)
-    return {layout: {name: summary(own) for name, own in rows.items()} for layout, rows in runs.items()}
+    return {layout: {name: summary(own, COLUMNS) for name, own in rows.items()} for layout, rows in runs.items()}
 
 
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each row on the drive of one layout and seed."""
     return association.counted(records.drive(association.course(*drive_of)), ROWS)
-
-
-def summary(runs: list[Figures]) -> Figures:
-    """Figures of one row over all drives, with 95 % intervals."""
-    polygons = ratios(columns_of(runs), found="found/scans", recognised="recognised/scans")
-    return {**association.summarise(runs), **polygons}
 
 
 def report(figures: Figures) -> str:

@@ -12,8 +12,6 @@ import io
 import math
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,55 +20,25 @@ import gymnasium
 import numpy as np
 import shapely
 import yaml
+from numpy.random import Generator
 
 from benchmarks.common import Figures, in_turns, is_installed, ratio
-from benchmarks.in_tree import BEAMS, BlockDriver, random_commands
+from benchmarks.in_tree import ACTIONS, BEAMS, breadth_first
+from benchmarks.random_actions import RandomDriver, velocity
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
 
-ACTIONS = ("random", "breadth_first")
-BLOCK = 100  # steps of ours
+BLOCK = {"random": 100, "breadth_first": 6, "MiniGrid-FourRooms-v0": 500, "ir-sim": 30}  # actions
+PACKAGES = {"MiniGrid-FourRooms-v0": "minigrid", "ir-sim": "irsim"}
 STEP_S = 0.4
-
-Block = Callable[[], tuple[int, float]]  # drives a block: steps, CPU seconds
-
-
-def our_block(driver: BlockDriver) -> tuple[int, float]:
-    """Drive a block in the environment of this tree; again where a function was compiled on the way."""
-    done = driver.drive(BLOCK)
-    return our_block(driver) if done["compiled"] else (done["steps"], done["seconds"])
-
-
-class MiniGrid:
-    """MiniGrid-FourRooms with the wrappers of `gymnasium.make` and random actions."""
-
-    name, package, steps = "MiniGrid-FourRooms-v0", "minigrid", 500
-
-    def __init__(self) -> None:
-        import minigrid  # noqa: F401  (registers its environments)
-
-        self.env = gymnasium.make(self.name)
-        self.env.reset(seed=0)
-        self.rng = np.random.default_rng(0)
-
-    def __call__(self) -> tuple[int, float]:
-        """Drive a block."""
-        seconds = 0.0
-        for action in self.rng.integers(0, 7, self.steps):
-            start = time.process_time()
-            _, _, terminated, truncated, _ = self.env.step(action)
-            seconds += time.process_time() - start
-            if terminated or truncated:
-                self.env.reset()
-        return self.steps, seconds
 
 
 class IrSim:
-    """A robot with a laser of 720 beams between the walls of `paper` in ir-sim."""
+    """A robot with a laser of 720 beams between the walls of `paper` in ir-sim, as an environment of Gymnasium."""
 
-    name, package, steps = "ir-sim", "irsim", 30
+    action_space = gymnasium.spaces.Discrete(1)  # none is drawn from it
 
     def __init__(self) -> None:
         with contextlib.redirect_stdout(io.StringIO()), tempfile.TemporaryDirectory() as folder:
@@ -79,21 +47,18 @@ class IrSim:
             path = Path(folder, "world.yaml")
             path.write_text(yaml.safe_dump(world()))
             self.env = irsim.make(str(path), headless=True, log_level="ERROR")
-        self.rng, self.commands = np.random.default_rng(0), random_commands(0)
-        self.outline = build_outline(load_layout("paper"))
+        self.outline, self.rng = build_outline(load_layout("paper")), np.random.default_rng(0)
 
-    def __call__(self) -> tuple[int, float]:
-        """Drive a block."""
-        seconds = 0.0
-        for _ in range(self.steps):
-            command = next(self.commands)
-            start = time.process_time()
-            self.env.step(command)
-            seconds += time.process_time() - start
-            if self.env.done():
-                self.env.reset()
-                self.env.robot.set_state(random_free_pose(self.outline, self.rng, 1.0))
-        return self.steps, seconds
+    def reset(self, seed: int | None = None) -> tuple[None, dict[str, Any]]:
+        """Start somewhere."""
+        self.env.reset()
+        self.env.robot.set_state(random_free_pose(self.outline, self.rng, 1.0))
+        return None, {}
+
+    def step(self, action: Array) -> tuple[None, float, bool, bool, dict[str, Any]]:
+        """Move, and look; a contact ends the episode."""
+        self.env.step(action)
+        return None, 0.0, self.env.done(), False, {}
 
 
 def world() -> dict[str, Any]:
@@ -102,47 +67,50 @@ def world() -> dict[str, Any]:
     lines = shapely.get_parts(shapely.line_merge(shapely.multilinestrings(segments)))
     width, height = (segments.reshape(-1, 2).max(axis=0) + 1.0).tolist()
     laser = {"range_max": 30.0, "angle_range": 2.0 * math.pi, "number": BEAMS, "noise": True, "std": 0.05}
+    robot = {"kinematics": {"name": "diff"}, "shape": {"name": "circle", "radius": ROBOT_RADIUS_M}}
+    walls = [{"name": "linestring", "vertices": shapely.get_coordinates(line).tolist()} for line in lines]
     return {
         "world": {"width": width, "height": height, "step_time": STEP_S, "sample_time": STEP_S},
-        "robot": {
-            "kinematics": {"name": "diff"},
-            "shape": {"name": "circle", "radius": ROBOT_RADIUS_M},
-            "state": [3.0, 3.0, 0.0],
-            "sensors": [{"name": "lidar2d"} | laser],
-        },
-        "obstacle": [
-            {"shape": {"name": "linestring", "vertices": shapely.get_coordinates(line).tolist()}, "state": [0, 0, 0]}
-            for line in lines
-        ],
+        "robot": robot | {"state": [3.0, 3.0, 0.0], "sensors": [{"name": "lidar2d"} | laser]},
+        "obstacle": [{"shape": wall, "state": [0, 0, 0]} for wall in walls],
     }
+
+
+def peer(name: str) -> RandomDriver:
+    """The driver of a peer."""
+    if name == "ir-sim":
+        return RandomDriver(IrSim(), velocity)
+    import minigrid  # noqa: F401  (registers its environments)
+
+    return RandomDriver(gymnasium.make(name), lambda env, rng: rng.integers(7))
+
+
+def ours(sweeps: int, actions: str) -> RandomDriver:
+    """The driver of our environment."""
+    kind, choose = ("velocity", velocity) if actions == "random" else ("goal", explore)
+    laser = {"sweeps": sweeps, "beams": BEAMS}
+    return RandomDriver(gymnasium.make("mecp_env/PaperMap-v0", actions=kind, laser=laser), choose)
+
+
+def explore(env: Any, rng: Generator) -> int:
+    """The next goal, breadth first."""
+    return breadth_first(env, env.unwrapped.observation())
 
 
 def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
     """For each peer that is installed, number of sweeps and kind of action of ours, the ratio of the speeds."""
-    peers = installed()
-    if not peers:
+    there = [name for name, package in PACKAGES.items() if is_installed(package)]
+    for name in PACKAGES.keys() - set(there):
+        print(f"{name} is not installed (extra `peers`): no comparison", file=sys.stderr)
+    if not there:
         return {}
-    ours = {(k, kind): partial(our_block, BlockDriver(kind, k)) for k in sweeps for kind in ACTIONS}
-    drivers: dict[Any, Block] = peers | ours
-    for drive in drivers.values():
-        drive()  # loads compiled functions
-    blocks = in_turns(drivers, turns)
-    per_step = {name: np.array([turn[name][1] / turn[name][0] for turn in blocks]) for name in drivers}
+    blocks: dict[Any, Any] = {name: partial(peer(name).seconds_per_step, BLOCK[name]) for name in there}
+    blocks |= {(k, kind): partial(ours(k, kind).seconds_per_step, BLOCK[kind]) for k in sweeps for kind in ACTIONS}
+    turned = in_turns(blocks, turns + 1)[1:]  # the first loads compiled functions
+    s = {name: np.array([turn[name] for turn in turned]) for name in blocks}
     return {
-        peer: {f"K={k}": {kind: compared(per_step[k, kind], per_step[peer]) for kind in ACTIONS} for k in sweeps}
-        for peer in peers
+        name: {f"K={k}": {kind: compared(s[k, kind], s[name]) for kind in ACTIONS} for k in sweeps} for name in there
     }
-
-
-def installed() -> dict[Any, Block]:
-    """The peers that can be imported; a line on stderr about each of the others."""
-    found: dict[Any, Block] = {}
-    for kind in (MiniGrid, IrSim):
-        if is_installed(kind.package):
-            found[kind.name] = kind()
-        else:
-            print(f"{kind.name} is not installed (extra `peers`): no comparison", file=sys.stderr)
-    return found
 
 
 def compared(ours: Array, theirs: Array) -> Figures:

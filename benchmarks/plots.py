@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
+from PIL import Image
 
 from benchmarks.common import Figures
 from mecp_env.render.figures import drawn
@@ -18,7 +20,6 @@ MOST_ACROSS, PANEL_IN = 3, (3.9, 3.2)  # panels of a row, and their size: letter
 LEGEND_LINE_IN = 0.22
 MARKERS = "osD^vPX<>h"
 DASHES = ("-", "--", ":", "-.", (0, (1, 3)), (0, (5, 4)), (0, (3, 1, 1, 1, 1, 1)))
-GREYS = ("0.0", "0.35", "0.55", "0.15", "0.45", "0.25", "0.6")
 
 
 class Panel(NamedTuple):
@@ -78,3 +79,15 @@ def draw_lines(axes: Axes, panel: Panel) -> None:
         axes.errorbar(at, value, bars, label=name, markersize=5, capsize=2, linewidth=1.3, **looks)
     axes.set(xticks=range(len(panel.ticks)), xticklabels=panel.ticks)
     axes.grid(alpha=0.3)
+
+
+def pictures_figure(pictures: Mapping[str, Path]) -> Figure:
+    """A picture below each title."""
+    rows = in_rows(list(pictures.items()))
+    figure = Figure(figsize=(5.0 * MOST_ACROSS, 3.6 * max(len(rows), 1)), layout="constrained")
+    for axes in (all_axes := figure.subplots(max(len(rows), 1), MOST_ACROSS, squeeze=False).ravel()):
+        axes.set_axis_off()
+    for axes, (title, path) in zip(all_axes, pictures.items(), strict=False):
+        axes.imshow(Image.open(path))
+        axes.set_title(title, fontsize=10)
+    return figure

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +18,12 @@ from mecp_env.policies import suites
 from mecp_env.policies.report import cell, markdown_table
 
 ROOT = RESULTS.parents[1]
-TASKS = ("halls", "corridors", "cheap_robot")
-PRICE_RESULTS = tuple(RESULTS / f"task_{name}_price.json" for name in TASKS)  # also with known pairs and the true pose
+TASKS = ("halls", "corridors", "cheap_robot")  # with known pairs and the true pose in results/task_*_price.json
 GREEDY = ("nearest", "next_best_view")  # explorers that know no uncertainty, whose price is shown
 SUITE_RESULTS = RESULTS / "suites"  # a file of `mecp-env evaluate --suite` for each submission
 DOCUMENTS = (ROOT / "README.md", ROOT / "docs" / "submissions.md")
 SHARES, DIGITS = ("lost", "complete"), 4  # of reference rows
-HEADLINE_METRIC = "correct_over_steps"
+METRIC = "correct_over_steps"
 PLACE = re.compile(r"(<!-- policies: (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -34,35 +33,26 @@ def tables() -> dict[str, str]:
 
 
 def price_table() -> str:
-    """The price of uncertainty in all tasks."""
-    results = [json.loads(path.read_text()) for path in PRICE_RESULTS]
-    lines = [price(result["setting"]["task"], policy, result["rows"]) for result in results for policy in GREEDY]
+    """The price of uncertainty in all tasks: correct coverage over steps, and truth minus estimator, paired."""
+    lines = []
+    for result in (json.loads((RESULTS / f"task_{name}_price.json").read_text()) for name in TASKS):
+        for policy in GREEDY:
+            of = {row["estimator"]: row for row in result["rows"] if row["policy"] == policy}
+            figures = [of[name]["figures"][METRIC] for name in ("slam", "known", "truth")]
+            cells = [cell(figure, ".3f") for figure in (*figures, of["truth"]["with_the_pose_known"][METRIC])]
+            lines.append([f"`{result['setting']['task']}`, {policy}", *cells])
     return markdown_table(["task, policy", "estimator", "known correspondences", "true pose", "price"], lines)
 
 
 def suite_tables(folder: Path) -> str:
     """The table of each frozen benchmark, from the result files in a folder. Raises `ConfigError` for a wrong file."""
     results = {path.name: suites.read_submission(path) for path in sorted(folder.glob("*.json"))}
-    return "\n\n".join(suite_table(name, results) for name in suites.SUITES)
-
-
-def suite_table(name: str, results: dict[str, Figures]) -> str:
-    """The results of one of them, the best first."""
-    ours = {file: content for file, content in results.items() if content["suite"] == name}
-    heading = f"`{name}`, hash {suites.SUITES[name].frozen}"
-    return (
-        f"{heading}, correct coverage over steps:\n\n{suites.leaderboard(ours)}"
-        if ours
-        else f"{heading}: no result yet."
-    )
-
-
-def price(task: str, policy: str, rows: list[Figures]) -> list[str]:
-    """A line of the price of uncertainty: correct coverage over steps, and truth minus estimator, paired."""
-    of_policy = {row["estimator"]: row for row in rows if row["policy"] == policy}
-    figures = [of_policy[name]["figures"][HEADLINE_METRIC] for name in ("slam", "known", "truth")]
-    cost = of_policy["truth"]["with_the_pose_known"][HEADLINE_METRIC]
-    return [f"`{task}`, {policy}", *(cell(figure, ".3f") for figure in (*figures, cost))]
+    parts = []
+    for name, suite in suites.SUITES.items():
+        ours = {file: content for file, content in results.items() if content["suite"] == name}
+        table = f", correct coverage over steps:\n\n{suites.leaderboard(ours)}" if ours else ": no result yet."
+        parts.append(f"`{name}`, hash {suite.frozen}{table}")
+    return "\n\n".join(parts)
 
 
 def updated(text: str, parts: dict[str, str]) -> str:
@@ -76,21 +66,24 @@ def reference_rows() -> dict[Path, str]:
     A suite takes its own results, and those of a larger suite whose first buildings are the same.
     """
     contents = [suites.read_submission(path) for path in sorted(SUITE_RESULTS.glob("*.json"))]
-    return {
-        suites.FOLDER / f"{name}.json": json.dumps(
-            {"suite": name, "hash": suite.frozen, "results": rows_of(name, suite, contents)}, separators=(",", ":")
-        )
-        + "\n"
-        for name, suite in suites.SUITES.items()
-    }
+    files = {}
+    for name, suite in suites.SUITES.items():
+        content = {"suite": name, "hash": suite.frozen, "results": rows_of(name, suite, contents)}
+        files[suites.FOLDER / f"{name}.json"] = json.dumps(content, separators=(",", ":")) + "\n"
+    return files
 
 
-def rows_of(name: str, suite: suites.Suite, contents: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of a suite; its own result replaces that of a larger suite."""
+def rows_of(name: str, suite: suites.Suite, contents: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
+    """The rows of a suite: the first so many buildings of each result; its own replaces that of a larger suite."""
     usable = [content for content in contents if settings_in(suite, suites.SUITES[content["suite"]])]
-    ordered = sorted(usable, key=lambda content: content["suite"] == name)
-    rows = rows_of_references(ordered, suite.episodes, suite.tasks)
-    return list({(row["task"], row["policy"], row["estimator"]): row for row in rows}.values())
+    rows = {}
+    for content in sorted(usable, key=lambda content: content["suite"] == name):
+        training = {key: content[key] for key in suites.TRAINING if content.get(key) is not None}
+        for row in content["results"]:
+            if row["task"] in suite.tasks and len(row["episodes"]) >= suite.episodes:
+                key = {part: row[part] for part in ("task", "policy", "estimator")}
+                rows[tuple(key.values())] = key | {"figures": compact(row, suite.episodes)} | training
+    return list(rows.values())
 
 
 def settings_in(small: suites.Suite, large: suites.Suite) -> bool:
@@ -98,23 +91,7 @@ def settings_in(small: suites.Suite, large: suites.Suite) -> bool:
     return set(map(str, small.settings)) <= set(map(str, large.settings)) and small.episodes <= large.episodes
 
 
-def rows_of_references(
-    submissions: Iterable[Mapping[str, Any]], first: int, tasks: Sequence[str]
-) -> list[dict[str, Any]]:
-    """The rows of references, from results of submissions: the first so many buildings of those tasks.
-
-    So a result of a large suite gives the row of a smaller one whose buildings are the first of the same.
-    """
-    return [
-        {"task": row["task"], "policy": row["policy"], "estimator": row["estimator"], "figures": compact(row, first)}
-        | {name: content[name] for name in suites.TRAINING if content.get(name) is not None}
-        for content in submissions
-        for row in content["results"]
-        if row["task"] in tasks and len(row["episodes"]) >= first
-    ]
-
-
-def compact(row: Mapping[str, Any], first: int) -> dict[str, dict[str, float]]:
+def compact(row: Mapping[str, Any], first: int) -> Figures:
     """The figures of the first episodes of a row, with few digits."""
     episodes = sorted(row["episodes"], key=lambda episode: episode["building"])[:first]
     figures = {}

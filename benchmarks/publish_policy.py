@@ -8,36 +8,33 @@ from __future__ import annotations
 import csv
 import sys
 from collections.abc import Sequence
-from dataclasses import dataclass
 from itertools import cycle
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from mecp_env.cli.base import run_command
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.files import write_atomic
 from mecp_env.learning.config import read_config
 from mecp_env.policies.registry import WEIGHTS
+from mecp_env.render.figures import save
 from mecp_env.render.palette import MARKERS
 
 SHIPPED = ("config.json", "run.json", "evaluation.csv", "progress.csv", "policy.json")  # the last names the weights
 SCORES = {"auc": "area under coverage over metres", "correct_over_steps": "correct coverage over steps"}
-COLUMNS = ("decisions", "auc_error", "seconds")  # beside the score
 MOST_BYTES = 1_900_000  # of weights in the repository
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class RunResult:
+class RunResult(NamedTuple):
     """The results of a run on the validation split."""
 
     folder: Path
-    algorithm: str
-    score: str  # the metric by which the best policy is chosen
-    area: Array  # (n,) its values
-    decisions: Array  # (n,)
-    error: Array  # (n,) standard errors of the area under coverage over metres
-    seconds: Array  # (n,)
+    kind: tuple[str, str]  # the algorithm, and the metric by which the best policy is chosen
+    columns: Array  # (4,n) that metric, decisions, standard errors of the area, seconds
 
 
 def publish(folders: Sequence[Path], weights: Path = WEIGHTS) -> int:
@@ -45,15 +42,15 @@ def publish(folders: Sequence[Path], weights: Path = WEIGHTS) -> int:
     if not folders:
         raise ConfigError("runs: none given, expected folders of runs of one algorithm")
     runs = [read_run(folder) for folder in folders]
-    if len({(run.algorithm, run.score) for run in runs}) != 1:
-        names = ", ".join(sorted({run.algorithm for run in runs}))
+    if len({run.kind for run in runs}) != 1:
+        names = ", ".join(sorted({run.kind[0] for run in runs}))
         raise ConfigError(f"runs: of {names}, expected one algorithm, all in tasks or none")
-    best = max(runs, key=lambda run: run.area.max())
-    target = weights / best.algorithm
-    ship(best, target)
-    draw(runs, target / "curve.png")
-    hours = best.seconds[-1] / 3600.0
-    print(f"{target}: the policy of {best.folder}, {best.area.max():.4f} on the validation split, {hours:.1f} h")
+    best = max(runs, key=lambda run: run.columns[0].max())
+    target = weights / best.kind[0]
+    ship(best.folder, target)
+    save(curve(runs), target / "curve.png")
+    score, hours = best.columns[0].max(), best.columns[3, -1] / 3600.0
+    print(f"{target}: the policy of {best.folder}, {score:.4f} on the validation split, {hours:.1f} h")
     return 0
 
 
@@ -64,30 +61,27 @@ def read_run(folder: Path) -> RunResult:
         algorithm, score = str(fields["algorithm"]), "correct_over_steps" if fields.get("task") else "auc"
         with (folder / "evaluation.csv").open(newline="") as file:
             rows = list(csv.DictReader(file))
-        columns = [np.array([float(row[name] or "") for row in rows]) for name in (score, *COLUMNS)]
+        columns = [[float(row[name] or "") for row in rows] for name in (score, "decisions", "auc_error", "seconds")]
     except (OSError, KeyError, ValueError) as error:
         reason = f"{error} is missing" if isinstance(error, KeyError) else error
         raise ConfigError(f"runs: {folder} is not a run folder: {reason}") from None
-    if not rows:
-        raise ConfigError(f"runs: {folder} has no evaluation yet")
-    if not np.isfinite(columns).all():
-        raise ConfigError(f"runs: {folder} has figures that are not finite")
-    return RunResult(folder, algorithm, score, *columns)
+    if not rows or not np.isfinite(columns).all():
+        raise ConfigError(f"runs: {folder} has no evaluation yet, or figures that are not finite")
+    return RunResult(folder, (algorithm, score), np.array(columns))
 
 
-def ship(run: RunResult, target: Path) -> None:
+def ship(folder: Path, target: Path) -> None:
     """Copy the policy of a run and where it comes from; what was shipped before goes when all of it is there.
 
     Raises `ConfigError` for a policy that is too large for the repository or cannot be loaded, with nothing changed.
     """
-    from mecp_env.core.files import write_atomic
     from mecp_env.learning.learned import load
 
-    if target.resolve() == run.folder.resolve():
-        raise ConfigError(f"runs: {run.folder} is where the policy would be put")
-    load(run.folder)
-    weights = str(read_config(run.folder / SHIPPED[-1])["file"])
-    whole = {name: (run.folder / name).read_bytes() for name in (weights, *SHIPPED)}
+    if target.resolve() == folder.resolve():
+        raise ConfigError(f"runs: {folder} is where the policy would be put")
+    load(folder)
+    weights = str(read_config(folder / SHIPPED[-1])["file"])
+    whole = {name: (folder / name).read_bytes() for name in (weights, *SHIPPED)}
     if len(whole[weights]) > MOST_BYTES:
         raise ConfigError(f"{weights}: {len(whole[weights])} bytes, at most {MOST_BYTES}; a smaller network.width?")
     for name, data in whole.items():
@@ -97,31 +91,22 @@ def ship(run: RunResult, target: Path) -> None:
             old.unlink()
 
 
-def draw(runs: list[RunResult], picture: Path) -> None:
+def curve(runs: list[RunResult]) -> Figure:
     """The metric over the decisions: one line per run, with a standard error where that is known."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
     figure = Figure(figsize=(7.0, 4.0), layout="constrained")
-    FigureCanvasAgg(figure)
-    axes = figure.add_subplot()
+    axes, (algorithm, score) = figure.add_subplot(), runs[0].kind
     for run, marker in zip(runs, cycle(MARKERS)):
-        (line,) = axes.plot(run.decisions, run.area, marker=marker, markersize=4, label=run.folder.name)
-        error = run.error if run.score == "auc" else 0.0 * run.error
-        axes.fill_between(run.decisions, run.area - error, run.area + error, alpha=0.15, color=line.get_color())
-    axes.axhline(runs[0].area[0], color="0.5", linestyle="--", linewidth=1, label="untrained (its prior)")
-    axes.set_xlabel("decisions")
-    axes.set_ylabel(f"{SCORES[runs[0].score]}, validation")
-    axes.set_title(f"{runs[0].algorithm}: band is one standard error over the buildings", fontsize=10)
+        area, decisions, error, _ = run.columns
+        (line,) = axes.plot(decisions, area, marker=marker, markersize=4, label=run.folder.name)
+        if score == "auc":
+            axes.fill_between(decisions, area - error, area + error, alpha=0.15, color=line.get_color())
+    axes.axhline(runs[0].columns[0, 0], color="0.5", linestyle="--", linewidth=1, label="untrained (its prior)")
+    axes.set(xlabel="decisions", ylabel=f"{SCORES[score]}, validation")
+    axes.set_title(f"{algorithm}: band is one standard error over the buildings", fontsize=10)
     axes.legend(fontsize=8)
     axes.grid(alpha=0.3)
-    figure.savefig(picture, dpi=220)
-
-
-def main(words: Sequence[str]) -> int:
-    """Exit code 0, 2 for wrong input, or 130 after Ctrl-C."""
-    return run_command(lambda: publish([Path(word) for word in words]))
+    return figure
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(run_command(lambda: publish([Path(word) for word in sys.argv[1:]])))

@@ -9,12 +9,20 @@ from typing import Any
 import numpy as np
 from numpy.random import Generator
 
-LEAST, MOST = (0.3, -0.4), (1.0, 0.4)  # of a velocity: forwards, with some turning
+from benchmarks.in_tree import random_commands
+
+Choose = Callable[[Any, Generator], Any]  # the action in an environment
 
 
 def velocity(env: Any, rng: Generator) -> Any:
     """Forward, with some turning."""
-    return rng.uniform(LEAST, MOST).astype(np.float32)
+    return rng.uniform((0.3, -0.4), (1.0, 0.4)).astype(np.float32)
+
+
+def held(seed: int = 0) -> Choose:
+    """Velocities that are each held for ten control steps."""
+    commands = random_commands(seed)
+    return lambda env, rng: next(commands)
 
 
 def goal(env: Any, rng: Generator) -> int:
@@ -31,12 +39,12 @@ def sample(env: Any, rng: Generator) -> Any:
 class RandomDriver:
     """An environment, and the random actions that drive it; a new episode follows where one ends."""
 
-    def __init__(self, env: Any, choose: Callable[[Any, Generator], Any]) -> None:
+    def __init__(self, env: Any, choose: Choose, seed: int = 0) -> None:
         self.env, self.choose, self.rng = env, choose, np.random.default_rng(0)
         self.processor_s = 0.0  # in `env.step`
         self.episodes = 0  # that ended
-        env.action_space.seed(0)
-        self.observation = env.reset(seed=0)[0]
+        env.action_space.seed(seed)
+        self.observation = env.reset(seed=seed)[0]
 
     def step(self) -> int:
         """One action: its control steps."""
@@ -47,3 +55,9 @@ class RandomDriver:
             self.episodes += 1
             self.observation = self.env.reset()[0]
         return int(info.get("periods", 1))
+
+    def seconds_per_step(self, actions: int) -> float:
+        """CPU time per control step of so many actions, resets left out."""
+        before = self.processor_s
+        steps = sum(self.step() for _ in range(actions))
+        return (self.processor_s - before) / steps

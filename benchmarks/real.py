@@ -26,43 +26,37 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks import noise, worlds
-from benchmarks.common import Figures, Gate, Options, chosen, share, shared_data
+from benchmarks.common import Figures, Options, chosen, ratio, shared_data
 from benchmarks.drives import replay
 from benchmarks.plan_scores import score_plan
-from benchmarks.real_logs import LOGS, map_log
+from benchmarks.plots import pictures_figure
+from benchmarks.real_logs import LOGS, MAPS, map_log
 from benchmarks.real_logs import summarise as summarise_log
-from benchmarks.real_maps import MapData, caption, short, small_multiples
 from benchmarks.records import IN_MEMORY, KTH, Records, on_records
-from benchmarks.tables import columns_of, means, of_visits, ratios, sections, table_of, turned
+from benchmarks.tables import columns_of, of_visits, sections, summary, table_of, turned
 from benchmarks.variants import with_change
-from benchmarks.worlds import Visit, explored
+from benchmarks.worlds import explored
 from mecp_env.floorplans import load_plan
+from mecp_env.render.figures import map_figure, save
 from mecp_env.world.outline import build_outline
 
 PLANS, EXPLORED, VIEW = "plans", "explored", "view_180_deg"
 URG = {f"urg04lx_{layout}": layout for layout in ("paper", "medium")}
-VIEW_DEG = 180.0
-STEPS_PER_M2 = 10.0
-MAPS = Path("runs/real")  # of each log, and of the first start in each plan
+VIEW_DEG, STEPS_PER_M2 = 180.0, 10.0
 SETS = {PLANS: 1, EXPLORED: 3, **{name: log.runs for name, log in LOGS.items()}, VIEW: 20, **dict.fromkeys(URG, 10)}
 QUICK = {PLANS: 1, EXPLORED: 1, "fr079": 1, "csail_raw": 1, VIEW: 1, "urg04lx_paper": 1}
 QUICK_PLANS, QUICK_SCANS = ("0a1b29dba355df2ab02630133187bfab", "50052752", "skirk"), 300
 
-GATES = (
-    Gate("plans/all/found", "share", 0.01),
-    Gate("explored/kth/seen", "share", 0.06),
-    Gate("explored/kth/precision", "share", 0.003),
-    Gate("fr079/relations_m", "error", 1.1),
-    Gate("fr079/final_relations_m", "error", 1.1),
-    Gate("fr079/polygon_share", "share", 0.02),
-    Gate(f"{VIEW}/precision", "share", 0.003),
-    *(Gate(f"{name}/complete", "share", 0.1) for name in URG),
-)
-SHARES = ("seen", "complete", "lost", "early")
 TOTALS = (
-    *("coverage", "precision", "pose_rmse_m", "nees", "rooms_found", "rooms_false", "doors_found"),
-    *("doors_false_per_10_true", "duplicates", "contacts_per_100_m", "periods_per_m2", "metres"),
+    *("seen", "complete", "lost", "early", "coverage", "precision", "pose_rmse_m", "nees", "rooms_found"),
+    *("rooms_false", "doors_found", "doors_false_per_10_true", "duplicates", "contacts_per_100_m", "periods_per_m2"),
+    "metres",
 )
+CAPTIONS = {  # of a log, above its map
+    "final_relations_m": "final relations",
+    "final_ate_m": "final trajectory error",
+    "dead_reckoning_ate_m": "dead reckoning",
+}
 Task = tuple[str, str, int]  # set, plan or number of scans or layout, start or seed
 
 
@@ -75,10 +69,7 @@ def run(options: Options) -> Figures:
     results: dict[str, dict[str, list[Figures]]] = {}
     for (name, what), of_one in on_records(measure, dict[str, Any], tasks, options).items():
         results.setdefault(name, {})[what] = of_one
-    figures = {
-        name: SUMMARIES[name](parts if name in (PLANS, EXPLORED) else next(iter(parts.values())))
-        for name, parts in results.items()
-    }
+    figures = {name: summarise(name, parts) for name, parts in results.items()}
     return figures | ({"skipped": skipped} if skipped else {})
 
 
@@ -92,14 +83,11 @@ def missing(name: str) -> str | None:
 
 def tasks_of(name: str, count: int, quick: bool) -> list[Task]:
     """The units of work of a set."""
-    if name in LOGS:
-        return [(name, str(QUICK_SCANS if quick else "all"), seed) for seed in range(count)]
+    names = [str(QUICK_SCANS if quick else "all")] if name in LOGS else [URG.get(name, noise.LAYOUT)]
     if name in (PLANS, EXPLORED):
-        known = [
-            plan for plan in plans() if (not quick or plan in QUICK_PLANS) and (name == EXPLORED or is_labelled(plan))
-        ]
-        return [(name, plan, start) for plan in known for start in range(count)]
-    return [(name, URG.get(name, noise.LAYOUT), seed) for seed in range(count)]
+        known = [plan for plan in plans() if not quick or plan in QUICK_PLANS]
+        names = [plan for plan in known if name == EXPLORED or is_labelled(plan)]
+    return [(name, what, number) for what in names for number in range(count)]
 
 
 def plans() -> dict[str, Path]:
@@ -117,88 +105,51 @@ def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
     name, what, seed = task
     if name == PLANS:
         return score_plan(plans()[what])._asdict()
-    if name == EXPLORED:
-        return explore(what, seed)
     if name in LOGS:
-        return run_on_log(name, seed, None if what == "all" else int(what))
-    return look_ahead(seed, records) if name == VIEW else explore_with_urg(name, seed)
+        return map_log(name, seed, None if what == "all" else int(what))
+    if name == VIEW:
+        drive = noise.drive_of(VIEW, seed, records)
+        return replay(drive, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
+    return explore(name, what, seed)
 
 
-def explore(plan: str, start: int) -> Figures:
-    """One exploration of a plan."""
-    layout = load_plan(plans()[plan])
-    most = int(STEPS_PER_M2 * build_outline(layout).free_area.area)
-    visit, env = explored(layout, start, most)
-    if start == 0:
-        MapData.of_env(env).save(MAPS / f"{plan}.npz")
-    return figures_of(visit) | {"step_limit": most}
+def explore(name: str, what: str, seed: int) -> Figures:
+    """One exploration of a plan, or of a building with the laser `urg04lx`."""
+    if name == EXPLORED:
+        layout: Any = load_plan(plans()[what])
+        most, fields = int(STEPS_PER_M2 * build_outline(layout).free_area.area), {}
+    else:
+        layout = what if name == "urg04lx_paper" else worlds.building(what, seed)
+        most, fields = worlds.MAX_STEPS, {"laser": {"preset": "urg04lx"}}
+    visit, env = explored(layout, seed, most, **fields)
+    if name == EXPLORED and seed == 0:
+        MAPS.mkdir(parents=True, exist_ok=True)
+        save(map_figure(env.get_wrapper_attr("view")()), MAPS / f"{what}.png", dpi=80)
+    return visit.figures
 
 
-def explore_with_urg(name: str, seed: int) -> Figures:
-    """One exploration with that laser."""
-    layout = URG[name] if name == "urg04lx_paper" else worlds.building(URG[name], seed)
-    visit, _ = explored(layout, seed, worlds.MAX_STEPS, laser={"preset": "urg04lx"})
-    return figures_of(visit)
-
-
-def figures_of(visit: Visit) -> Figures:
-    """The figures of an exploration."""
-    final = {name: float(value) for name, value in visit.final.items()}
-    complete, early = visit.outcome == "complete", visit.terminated and not visit.seen
-    return final | {"seen": visit.seen, "complete": complete, "early": early}
-
-
-def run_on_log(name: str, seed: int, scans: int | None) -> Figures:
-    """One run on a log."""
-    folder = shared_data("logs")
-    assert folder is not None
-    metrics, drawn = map_log(folder, name, seed, scans)
-    if seed == 0:
-        drawn.save(MAPS / f"{name}.npz")
-    return metrics
-
-
-def look_ahead(seed: int, records: Records = IN_MEMORY) -> Figures:
-    """A drive on `paper` whose scans are cut to the field of view, for an estimator that knows it."""
-    drive = noise.drive_of(VIEW, seed, records)
-    return replay(drive, with_change(drive.slam, {"sensor": {"field_of_view_deg": VIEW_DEG}})).counts
-
-
-def summarise_plans(results: Mapping[str, list[Figures]]) -> Figures:
-    """Rooms of each plan, and of all together with the interval over plans."""
-    each = {plan: scores[0] for plan, scores in results.items()}
-    of = columns_of(list(each.values()))
-    both = ratios(of, found="found/labelled", false="false/imported")
-    return {"all": both | {name: int(of[name].sum()) for name in ("labelled", "imported")}, **each}
-
-
-def summarise_explored(results: Mapping[str, list[Figures]]) -> Figures:
-    """Explorations of all labelled plans together, and of each plan."""
-    labelled = [visit for plan, visits in results.items() if is_labelled(plan) for visit in visits]
-    each = {plan: summarise_visits(visits) for plan, visits in results.items()}
-    return ({KTH: summarise_visits(labelled)} if labelled else {}) | each
+def summarise(name: str, parts: Mapping[str, list[Figures]]) -> Figures:
+    """Figures of a set, from the results of each of its plans, or of the only part that it has."""
+    if name == PLANS:
+        each = {plan: scores[0] for plan, scores in parts.items()}
+        of = columns_of(list(each.values()))
+        both = {"found": ratio(of["found"], of["labelled"]), "false": ratio(of["false"], of["imported"])}
+        return {"all": both | {name: int(of[name].sum()) for name in ("labelled", "imported")}, **each}
+    if name == EXPLORED:
+        labelled = [visit for plan, visits in parts.items() if is_labelled(plan) for visit in visits]
+        together = {KTH: labelled} if labelled else {}
+        return {plan: summarise_visits(visits) for plan, visits in (together | dict(parts)).items()}
+    (runs,) = parts.values()
+    if name == VIEW:
+        return summary(runs, (*noise.COLUMNS, *noise.OF_RANGE, "polygon_share"))
+    return summarise_log(runs) if name in LOGS else summarise_visits(runs)
 
 
 def summarise_visits(visits: list[Figures]) -> Figures:
     """Figures of explorations, each with its 95 % interval."""
-    figures = {name: share(visit[name] for visit in visits) for name in SHARES} | of_visits(visits, TOTALS)
     worst = max(visit["pose_rmse_m"] for visit in visits)
     area = float(np.mean([visit["free_area_m2"] for visit in visits]))
-    return figures | {"pose_rmse_worst_m": worst, "free_area_m2": area}
-
-
-def summarise_view(drives: list[Figures]) -> Figures:
-    """As in `noise`, with the share of scans that have a polygon."""
-    return noise.summarise(drives) | means(columns_of(drives), "polygon_share")
-
-
-SUMMARIES: dict[str, Any] = {  # of the results by plan, or of those of a set without parts
-    PLANS: summarise_plans,
-    EXPLORED: summarise_explored,
-    **dict.fromkeys(LOGS, summarise_log),
-    VIEW: summarise_view,
-    **dict.fromkeys(URG, summarise_visits),
-}
+    return of_visits(visits, TOTALS) | {"pose_rmse_worst_m": worst, "free_area_m2": area}
 
 
 def report(figures: Figures) -> str:
@@ -217,6 +168,19 @@ def report(figures: Figures) -> str:
 def figure(figures: Figures) -> Figure:
     """The map of each log, and of the first start in each plan."""
     names = [name for name in (*LOGS, *figures.get(EXPLORED, {})) if name in figures or name not in LOGS]
-    return small_multiples(
-        {caption(figures, name): MapData.load(MAPS / f"{name}.npz") for name in names if name != KTH}
-    )
+    return pictures_figure({caption(figures, name): MAPS / f"{name}.png" for name in names if name != KTH})
+
+
+def short(name: str) -> str:
+    """A name that fits in a column."""
+    return name if len(name) <= 20 else f"{name[:8]}..."
+
+
+def caption(figures: Figures, name: str) -> str:
+    """What is said above a map."""
+    of = figures.get(name) or figures[EXPLORED][name]
+    mean = {key: figure["value"] if isinstance(figure, dict) else figure for key, figure in of.items()}
+    if name not in figures:
+        return f"{short(name)}:\n{of['free_area_m2']:,.0f} m2, pose RMSE {100.0 * mean['pose_rmse_m']:.1f} cm"
+    said = ",\n".join(f"{text} {mean[key]:.2f} m" for key, text in CAPTIONS.items() if key in of)
+    return f"{name}, {mean['log_share']:.0%} of the log:\n{said}"

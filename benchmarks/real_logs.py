@@ -9,14 +9,16 @@ from typing import Any
 import numpy as np
 
 from benchmarks import karto
-from benchmarks.common import Figures, estimate, is_installed
-from benchmarks.real_maps import MapData
+from benchmarks.common import Figures, estimate, is_installed, shared_data
 from mecp_env.core.se2 import composed
-from mecp_env.evaluation.calibration import calibrate_log
+from mecp_env.evaluation.calibration import Calibration, calibrate_log
 from mecp_env.evaluation.log_run import LogRun, LogRunConfig, config_for, run_log
 from mecp_env.evaluation.trajectory import align
-from mecp_env.logs import read_log
-from mecp_env.slam.messages import Cell
+from mecp_env.logs import Log, read_log
+from mecp_env.render.figures import map_figure, save
+from mecp_env.render.shapes import SceneView
+
+MAPS = Path("runs/real")  # pictures of each log, and of the first start in each plan
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,39 +42,44 @@ COLUMNS = (
     *("dead_reckoning_ate_m", "landmarks", "landmarks_dropped", "rooms", "doors", "polygon_share", "localised_share"),
     *("log_share", "ms_per_scan_median", "ms_per_scan_mean"),
     *(*FINAL_ERRORS, "final_converged", "final_steps", "final_s"),
+    *(f"karto_{name}" for name in (*ERRORS, *FINAL_ERRORS, "ms_per_scan_mean", "loops")),
 )
-RIVAL = tuple(f"karto_{name}" for name in (*ERRORS, *FINAL_ERRORS, "ms_per_scan_mean", "loops"))
 
 
-def map_log(folder: Path, name: str, seed: int, scans: int | None = None) -> tuple[Figures, MapData]:
-    """Metrics of one run on a log, and its map; only of its first `scans` if given."""
-    given, log = LOGS[name], read_log(folder / f"{name}.npz")
-    calibration = calibrate_log(log, config_for(log), {}, {}) if given.calibrated else None
-    options = given.run.model_copy(update={"seed": seed, "scans": scans})
+def calibrated(name: str) -> tuple[Log, Calibration | None]:
+    """A log of `shared/data`, and its calibration where it is run with one."""
+    folder = shared_data("logs")
+    assert folder is not None
+    log = read_log(folder / f"{name}.npz")
+    return log, calibrate_log(log, config_for(log), {}, {}) if LOGS[name].calibrated else None
+
+
+def map_log(name: str, seed: int, scans: int | None = None) -> Figures:
+    """Metrics of one run on a log, and of OpenKarto where it is installed; only of its first `scans` if given."""
+    log, calibration = calibrated(name)
+    options = LOGS[name].run.model_copy(update={"seed": seed, "scans": scans})
     run = run_log(log, run=options, calibration=calibration)
-    return run.metrics() | rival_of(run), map_of(run)
+    if seed == 0:
+        MAPS.mkdir(parents=True, exist_ok=True)
+        save(map_figure(view_of(run)), MAPS / f"{name}.png", dpi=80)
+    return run.metrics() | (rival_of(run) if is_installed(karto.PACKAGE) else {})
 
 
 def rival_of(run: LogRun) -> Figures:
-    """Figures of OpenKarto on the same scans and odometry; nothing where it is not installed."""
-    if not is_installed(karto.PACKAGE):
-        return {}
-    rows = np.searchsorted(run.log.t, run.t)
-    raw = run.log.T_odom_robot  # without it, odometry was made of the reference path
-    odometry = run.T_odom_robot if raw is None else raw[rows]
+    """Figures of OpenKarto on the same scans and odometry."""
+    rows, raw = np.searchsorted(run.log.t, run.t), run.log.T_odom_robot
+    odometry = run.T_odom_robot if raw is None else raw[rows]  # made of the reference path, or that of the log
     return karto.figures(run.log, rows, karto.run(run.log, rows, odometry))
 
 
-def map_of(run: LogRun) -> MapData:
-    """Walls of the grid, both paths, landmarks and doors, in the map frame, all smoothed."""
-    grid, path = run.final_output.grid, run.T_final_robot[run.scored]
-    rows, columns = np.nonzero(grid.label == int(Cell.OCCUPIED))
-    cells = grid.origin + (np.stack([columns, rows], axis=1) + 0.5) * grid.resolution_m
-    reference = np.empty((0, 2))
+def view_of(run: LogRun) -> SceneView:
+    """The map, and both paths in its frame, all smoothed."""
+    path, reference = run.T_final_robot[run.scored], np.empty((0, 2))
     if run.T_ref_robot is not None:
         T_ref = run.T_ref_robot[run.scored]
         reference = composed(align(path[:, :2], T_ref[:, :2]), T_ref)[:, :2]
-    return MapData.of_output(run.final_output, cells=cells, path=path[:, :2], reference=reference)
+    frames = np.empty((0, 2, 2)), path[-1], np.zeros(3)
+    return SceneView(*frames, reference, path[:, :2], run.final_output, title=run.log.name)
 
 
 def summarise(runs: list[dict[str, Any]]) -> Figures:
@@ -80,7 +87,7 @@ def summarise(runs: list[dict[str, Any]]) -> Figures:
 
     Those of a run that ended early are of the part of the log before; a figure without anything to measure is missing.
     """
-    found = {name: [run[name] for run in runs] for name in (*COLUMNS, *RIVAL) if np.isfinite(runs[0].get(name, np.nan))}
+    found = {name: [run[name] for run in runs] for name in COLUMNS if np.isfinite(runs[0].get(name, np.nan))}
     figures = {name: estimate(values) if len(runs) > 1 else values[0] for name, values in found.items()}
     ends = sorted({str(run["ended"]) for run in runs})
     return {**figures, "runs": len(runs), "scans": runs[0]["scans"], "ended": ", ".join(ends)}

@@ -7,12 +7,10 @@ counts, whatever code made it: its header names that code.
 
 from __future__ import annotations
 
-import hashlib
 import io
 import json
 import re
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import partial
 from pathlib import Path
@@ -40,20 +38,8 @@ from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout
 
 KIND = FileKind("mecp_env record", 1, __version__)
-HEADER = "header"
-ARRAYS = (  # in the order of the content hash
-    "ranges",  # (scans,sweeps,beams) m
-    "hit",  # (scans,sweeps,beams)
-    "bearings",  # (sweeps,beams) rad, those of every scan
-    "arcs",  # (scans,) readings of the odometry before the scan, -1: at rest at the start
-    "increments",  # (readings,2) m, rad; those of all scans one after the other
-    "increment_cov",  # (readings,2,2)
-    "bumper",  # (scans,)
-    "T_world_robot",  # (scans,3) m, rad: true pose of each scan
-)
-
-Arrays = dict[str, np.ndarray[Any, Any]]
-Header = dict[str, Any]
+HARD = "hard"  # the set of drives that are each in a generated building of its own
+KTH = "kth"  # the folder of the labelled plans
 
 
 class RecordError(MecpError):
@@ -101,13 +87,11 @@ class Records:
             return course.drive()
         path = self.folder / course.file
         if not path.exists():
-            save_record(path, *record_of(course, course.drive()))
+            save_record(path, course, course.drive())
         return read_drive(path, course)
 
 
 IN_MEMORY = Records()
-HARD = "hard"  # the set of drives that are each in a generated building of its own
-KTH = "kth"  # the folder of the labelled plans
 
 
 def kth_plans() -> list[Path]:
@@ -134,53 +118,12 @@ def on_drives(
     return {name: by_row(runs) for name, runs in on_records(task, dict[str, Figures], drives, options).items()}
 
 
-def save_record(path: Path, header: Header, arrays: Arrays) -> None:
+def save_record(path: Path, course: Course, drive: Drive) -> None:
     """Write a record, whole or not at all. Raises `RecordError`."""
-    header = {**KIND._asdict(), **header}
-    text = json.dumps({**header, "content": content_of(header, arrays)})
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **{HEADER: np.frombuffer(text.encode(), np.uint8), **arrays})
-    try:
-        write_atomic(path, buffer.getvalue())
-    except OSError as error:
-        raise RecordError(f"{path}: cannot be written: {error.strerror}") from None
-
-
-def load_record(path: Path) -> tuple[Header, Arrays]:
-    """What `save_record` wrote. Raises `RecordError`, and whatever damaged bytes raise."""
-    with np.load(path, allow_pickle=False) as archive:
-        arrays = dict(archive)
-    header: Header = json.loads(arrays.pop(HEADER).tobytes())
-    check_header(header, KIND)
-    if header.pop("content") != content_of(header, arrays):
-        raise RecordError("damaged: its content hash is that of another content")
-    return header, arrays
-
-
-def content_of(header: Mapping[str, Any], arrays: Arrays) -> str:
-    """SHA-256, 64 hexadecimal digits, of a header without its `content`, and of the arrays."""
-    digest = hashlib.sha256(json.dumps(header, sort_keys=True).encode())
-    for name in ARRAYS:
-        digest.update(np.ascontiguousarray(arrays[name]).data)
-    return digest.hexdigest()
-
-
-def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
-    """What the record of a drive holds."""
-    first = drive.scans[0]
+    first, moved = drive.scans[0], [odometry for odometry in drive.odometry if odometry is not None]
     assert all(np.array_equal(scan.bearings, first.bearings) for scan in drive.scans)
-    moved = [odometry for odometry in drive.odometry if odometry is not None]
-    arrays: Arrays = {
-        "ranges": np.array([scan.ranges for scan in drive.scans]),
-        "hit": np.array([scan.hit for scan in drive.scans]),
-        "bearings": first.bearings,
-        "arcs": np.array([-1 if odometry is None else len(odometry.increments) for odometry in drive.odometry]),
-        "increments": np.concatenate([np.empty((0, 2)), *(odometry.increments for odometry in moved)]),
-        "increment_cov": np.concatenate([np.empty((0, 2, 2)), *(odometry.cov for odometry in moved)]),
-        "bumper": np.array([odometry is not None and odometry.bumper for odometry in drive.odometry]),
-        "T_world_robot": np.array(drive.T_world_robot),
-    }
     header = {
+        **KIND._asdict(),
         "course": asdict(course),
         "layout": course.building().model_dump(mode="json"),
         "laser": {name: getattr(drive.truth.view, name) for name in LaserView.model_fields},
@@ -188,30 +131,36 @@ def record_of(course: Course, drive: Drive) -> tuple[Header, Arrays]:
         "slam": drive.slam.model_dump(mode="json"),  # the estimator during the drive
         "made_by": dependencies(),  # code, libraries and machine
     }
-    return header, arrays
+    buffer = io.BytesIO()
+    np.savez(
+        buffer,
+        allow_pickle=False,
+        header=np.frombuffer(json.dumps(header).encode(), np.uint8),
+        ranges=np.array([scan.ranges for scan in drive.scans]),  # (scans,sweeps,beams) m
+        hit=np.array([scan.hit for scan in drive.scans]),  # (scans,sweeps,beams)
+        bearings=first.bearings,  # (sweeps,beams) rad, those of every scan
+        arcs=np.array([-1 if odometry is None else len(odometry.increments) for odometry in drive.odometry]),
+        increments=np.concatenate([np.empty((0, 2)), *(odometry.increments for odometry in moved)]),
+        increment_cov=np.concatenate([np.empty((0, 2, 2)), *(odometry.cov for odometry in moved)]),
+        bumper=np.array([odometry is not None and odometry.bumper for odometry in drive.odometry]),
+        T_world_robot=np.array(drive.T_world_robot),  # (scans,3) m, rad: true pose of each scan
+    )
+    try:
+        write_atomic(path, buffer.getvalue())
+    except OSError as error:
+        raise RecordError(f"{path}: cannot be written: {error.strerror}") from None
 
 
 def read_drive(path: Path, course: Course | None = None) -> Drive:
     """The drive in a record, of any course or of the given one. Raises `RecordError` that names the file."""
-    with refused(path):
-        header, arrays = load_record(path)
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = dict(archive)  # each has a checksum
+        header = json.loads(arrays.pop("header").tobytes())
+        check_header(header, KIND)
         if course is not None and header["course"] != asdict(course):
             raise RecordError(f"the record of {header['course']!s:.200}, expected that of {asdict(course)!s:.200}")
-        outline, range_m = build_outline(load_layout(header["layout"])), header["max_range_m"]
-        slam = SlamConfig(**SlamConfig.without_gone(header["slam"]))
-        truth = GroundTruth(outline, range_m, LaserView(**header["laser"]))
-        scans = [
-            Scan(ranges, arrays["bearings"], hit, range_m)
-            for ranges, hit in zip(arrays["ranges"], arrays["hit"], strict=True)
-        ]
-        return Drive(truth, slam, odometry_of(arrays), scans, list(arrays["T_world_robot"]))
-
-
-@contextmanager
-def refused(path: Path) -> Iterator[None]:
-    """Turns whatever is wrong with a file into a `RecordError` that names it."""
-    try:
-        yield
+        return _drive_of(header, arrays)
     except MecpError as error:
         raise RecordError(f"{path}: {error}") from None
     except Exception as error:  # damaged bytes may raise anything
@@ -219,15 +168,15 @@ def refused(path: Path) -> Iterator[None]:
         raise RecordError(f"{path}: damaged ({reason:.120})") from None
 
 
-def odometry_of(arrays: Arrays) -> list[Odometry | None]:
-    """The odometry before each scan, None at rest at the start. Raises `RecordError`."""
-    readings = np.maximum(arrays["arcs"], 0)
-    if readings.sum() != len(arrays["increments"]):
-        raise RecordError(f"damaged: arcs do not add up to {len(arrays['increments'])} readings")
-    ends = np.cumsum(readings)
-    return [
-        None if at_rest else Odometry(arrays["increments"][a:b], arrays["increment_cov"][a:b], bumper)
-        for at_rest, a, b, bumper in zip(
-            arrays["arcs"] < 0, (ends - readings).tolist(), ends.tolist(), arrays["bumper"].tolist(), strict=True
-        )
-    ]
+def _drive_of(header: dict[str, Any], arrays: dict[str, Any]) -> Drive:
+    """The drive of what a record holds."""
+    outline, range_m = build_outline(load_layout(header["layout"])), header["max_range_m"]
+    slam = SlamConfig(**SlamConfig.without_gone(header["slam"]))
+    pairs = zip(arrays["ranges"], arrays["hit"], strict=True)
+    scans = [Scan(ranges, arrays["bearings"], hit, range_m) for ranges, hit in pairs]
+    ends = np.cumsum(np.maximum(arrays["arcs"], 0))[:-1]  # of the readings before each scan; -1: at rest at the start
+    parts = (np.split(arrays[name], ends) for name in ("increments", "increment_cov"))
+    rows = zip(arrays["arcs"].tolist(), *parts, arrays["bumper"].tolist(), strict=True)
+    odometry = [None if arcs < 0 else Odometry(increments, cov, bumper) for arcs, increments, cov, bumper in rows]
+    truth = GroundTruth(outline, range_m, LaserView(**header["laser"]))
+    return Drive(truth, slam, odometry, scans, list(arrays["T_world_robot"]))

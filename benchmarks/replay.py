@@ -11,7 +11,7 @@ import time
 from pathlib import Path
 
 from benchmarks.browser import Browser, chromium
-from benchmarks.common import Figures, Gate, OptionError, Options, estimate
+from benchmarks.common import Figures, OptionError, Options, estimate
 from benchmarks.tables import table
 from mecp_env.cli.runs import Run
 from mecp_env.config import EnvConfig
@@ -21,8 +21,6 @@ from mecp_env.render.replay_page import write_page
 RUNS, QUICK_RUNS = 10, 2
 PLAYED_S = 3.0
 DRAWN = "Number(document.body?.dataset.drawn)"
-
-GATES = (Gate("page_kb", "error", 1.2), Gate("first_frame_s", "time", 1.3))
 
 
 def run(options: Options) -> Figures:

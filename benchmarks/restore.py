@@ -5,9 +5,8 @@ floor plan, estimator, filter and associator, driven for a random number of step
 end of the episode, and sometimes while the pose is searched for.
 Then its state is read into a second environment and its map into a second pipeline. The state and the map must be
 those that were kept, and 3 more steps (or a `reset` after the end) must give the same results and the same state after
-them. Every tenth run is a recorded log from a random record on, whose map must go on alike for 3 more scans. Plans and
-logs are those of `shared/data` beside the repository; without them, shipped buildings stand in. Every failure is listed
-with what makes it again.
+them. Plans are those of `shared/data` beside the repository; without them, shipped buildings stand in. Every failure is
+listed with what makes it again.
 """
 
 from __future__ import annotations
@@ -21,26 +20,19 @@ import gymnasium as gym
 import numpy as np
 
 import mecp_env
-from benchmarks import restore_logs
-from benchmarks.common import Figures, Gate, Options, in_parallel
-from benchmarks.random_actions import goal, velocity
-from benchmarks.restore_logs import described, restored, same
+from benchmarks.common import Figures, Options, in_parallel
+from benchmarks.random_actions import goal, sample, velocity
 from benchmarks.tables import listed, table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
-from mecp_env.core.errors import PlanWarning
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
-from mecp_env.slam import SlamConfig
+from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
 from mecp_env.world.config import DIFFICULTIES, SPLITS
 from mecp_env.world.layout import LIBRARY
 
 RUNS, QUICK = 1000, 10
 MORE = 3  # steps after a state
-LOG_EVERY = 10  # runs
 FILE = FileKind("mecp_env state of the benchmark", 1, "0")
-GATES = (Gate("all/failed", "bound", 0.0),)
-
-ALL_PARTS = {"format": "dict", "map": True, "scan": True}
 LASERS = ("ideal", "lms200", "urg04lx", "utm30lx", "rplidar_a1")
 CHOICES: dict[str, tuple[Any, ...]] = {
     "actions": ("goal", "velocity", "discrete"),
@@ -48,7 +40,7 @@ CHOICES: dict[str, tuple[Any, ...]] = {
     "clutter": ({}, {"movable_boxes": 3, "closed_doors": 1}),
     "laser": ({}, {"max_range_m": 3.0}, *({"preset": name} for name in LASERS)),
     "odometry": ({}, {"preset": "turtlebot"}, {"preset": "skid_steer"}, {"reading": "per_step"}, {"scale": 0.0}),
-    "observation": ({}, {"format": "flat"}, {"format": "image"}, {"uncertainty": True}, ALL_PARTS),
+    "observation": ({}, "flat", "image", {"uncertainty": True}, {"format": "dict", "map": True, "scan": True}),
     "reward": ("coverage", "correct_coverage", "terms", "active_terms", {"shaping": 1.0}, {"source": "truth"}),
     "planning": ({}, {"known_ground": {"places": 4, "wait_steps": 5}}),
     "end": ({}, {"coverage": 0.1}),
@@ -61,14 +53,14 @@ SLAM_CHOICES: dict[str, tuple[Any, ...]] = {
     "panorama": ({}, {"use": "always"}, {"use": "never"}),
     "grid": ({}, {"resolution_m": 0.05}),
 }
+ACTIONS = {"goal": goal, "velocity": velocity, "discrete": sample}
 
 
 def run(options: Options) -> Figures:
     """How many runs came back, and the failures."""
     numbers = [(number,) for number in range(QUICK if options.quick else RUNS)]
     failures = [text for text in in_parallel(failure_of, str, numbers, options) if text]
-    logs = len(numbers) // LOG_EVERY if restore_logs.logs_at_hand() else 0
-    counts = {"runs": len(numbers), "of logs": logs, "plans": len(plans_at_hand()), "failed": len(failures)}
+    counts = {"runs": len(numbers), "plans": len(plans_at_hand()), "failed": len(failures)}
     return {"all": counts, "failures": dict(enumerate(failures))}
 
 
@@ -99,32 +91,29 @@ def building_of(name: str, rng: np.random.Generator) -> dict[str, Any]:
 
 
 def failure_of(unit: tuple[int]) -> str:
-    """What is wrong with the run of a number, empty when nothing is."""
+    """What was run and what is wrong with it, empty when nothing is; an error of any kind is a finding, too."""
     (number,) = unit
     rng = np.random.default_rng([39, number])
-    if number % LOG_EVERY == LOG_EVERY - 1 and restore_logs.logs_at_hand():
-        return restore_logs.failure_of(number, rng, slam_of(rng))
     name = str(rng.choice(list(mecp_env.ENVIRONMENTS)))
     fields = one_of(CHOICES, rng) | {"slam": slam_of(rng), "max_steps": int(rng.integers(5, 300))}
     fields |= building_of(name, rng)
     steps, lost = int(rng.integers(0, 100)), bool(rng.random() < 0.2)
-    what = f"{number}: {name} {fields} after {steps} steps{', lost' * lost}"
-    return described(what, lambda: fault_of(*pair_of(name, fields), rng, steps, lost))
-
-
-def pair_of(name: str, fields: dict[str, Any]) -> tuple[Any, Any]:
-    """Two environments of an id."""
-    with warnings.catch_warnings(action="ignore", category=PlanWarning):
-        first, second = (gym.make(name, disable_env_checker=True, **fields) for _ in range(2))
-    return first, second
+    try:
+        with warnings.catch_warnings(action="ignore"):
+            env, other = (gym.make(name, disable_env_checker=True, **fields) for _ in range(2))
+            fault = fault_of(env, other, rng, steps, lost)
+    except Exception as error:
+        fault = f"{type(error).__name__}: {error}"
+    return f"{number}: {name} {fields} after {steps} steps{', lost' * lost}: {fault}" if fault else ""
 
 
 def fault_of(env: Any, other: Any, rng: np.random.Generator, steps: int, lost: bool) -> str:
     """What differs between an environment after so many steps and another one that continues it."""
     env.reset(seed=int(rng.integers(2**31)))
     other.reset(seed=0)
-    own, others = env.unwrapped, other.unwrapped
-    going = drive(env, rng, steps)
+    own, others, act = env.unwrapped, other.unwrapped, ACTIONS[env.unwrapped.config.actions]
+    env.action_space.seed(int(rng.integers(2**31)))
+    going = not any(any(env.step(act(env, rng))[2:4]) for _ in range(steps))
     if lost and going:
         own._started().pipeline.lose_pose()
     with tempfile.TemporaryDirectory() as folder:
@@ -133,38 +122,38 @@ def fault_of(env: Any, other: Any, rng: np.random.Generator, steps: int, lost: b
         others.set_state(load_snapshot(path, FILE))
     if not same(others.get_state(), own.get_state()):
         return "another state"
-    is_map = own.config.estimator == "slam"  # a map of ground truth is of no use
-    return (restored(own)[1] if is_map else "") or after_fault(env, other, rng, going)
-
-
-def drive(env: Any, rng: np.random.Generator, steps: int) -> bool:
-    """Take at most so many steps; False when the episode ended before."""
-    for _ in range(steps):
-        _, _, terminated, truncated, _ = env.step(action_of(env, rng))
-        if terminated or truncated:
-            return False
-    return True
-
-
-def action_of(env: Any, rng: np.random.Generator) -> Any:
-    """A random action, among the goals one that may be chosen."""
-    if env.unwrapped.config.actions == "discrete":
-        return int(rng.integers(env.action_space.n))
-    return (goal if env.unwrapped.config.actions == "goal" else velocity)(env, rng)
-
-
-def after_fault(env: Any, other: Any, rng: np.random.Generator, going: bool) -> str:
-    """What differs in the steps that follow."""
+    if own.config.estimator == "slam" and not is_restored(own):  # a map of ground truth is of no use
+        return "another map"
     if not going:
         return "" if same(env.reset(), other.reset()) else "another reset"
     for _ in range(MORE):
-        action = action_of(env, rng)
-        results = env.step(action), other.step(action)
-        if not same(*results):
+        action = act(env, rng)
+        first, second = env.step(action), other.step(action)
+        if not same(first, second):
             return "another step"
-        if results[0][2] or results[0][3]:
+        if any(first[2:4]):
             break
-    return "" if same(env.unwrapped.get_state(), other.unwrapped.get_state()) else "another state after it"
+    return "" if same(own.get_state(), others.get_state()) else "another state after it"
+
+
+def is_restored(env: Any) -> bool:
+    """Whether the map that an environment saves is the same when it is read and saved again."""
+    with tempfile.TemporaryDirectory() as folder:
+        first, second = Path(folder) / "map.zip", Path(folder) / "again.zip"
+        env.save_map(first)
+        SlamPipeline.from_map(first).save_map(second)
+        return first.read_bytes() == second.read_bytes()
+
+
+def same(first: Any, second: Any) -> bool:
+    """True when all values are equal to the bit, nan too."""
+    if isinstance(first, np.ndarray):
+        return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
+    if isinstance(first, dict):
+        return first.keys() == second.keys() and all(same(first[key], second[key]) for key in first)
+    if isinstance(first, list | tuple):
+        return len(first) == len(second) and all(map(same, first, second))
+    return type(first) is type(second) and repr(first) == repr(second)
 
 
 def faults(figures: Figures) -> list[str]:
@@ -174,6 +163,5 @@ def faults(figures: Figures) -> list[str]:
 
 def report(figures: Figures) -> str:
     """The counts, and every failure."""
-    counts = figures["all"]
-    found = listed(faults(figures), "All came back to the bit.")
+    counts, found = figures["all"], listed(faults(figures), "All came back to the bit.")
     return f"{table(list(counts), [tuple(counts.values())])}\n\n{found}"

@@ -11,18 +11,19 @@ intervals without 0.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
 import numpy as np
 from scipy.stats import kendalltau
 
-from benchmarks.common import Figures, Gate, Options, correlation, estimate, ratio
-from benchmarks.policy_runs import buildings_of, checked, rows_of
+from benchmarks.common import Figures, Options, correlation, estimate, ratio
 from benchmarks.tables import table
+from benchmarks.uncertainty import buildings_of, checked, rows_of
+from mecp_env.core.carriers import Array
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.evaluation import Evaluation, Row
+from mecp_env.policies.report import cell
 from mecp_env.policies.setting import Setting
 
 GOALS = ("random_goal", "nearest", "gain", "next_best_view", "maskable_ppo")
@@ -36,8 +37,8 @@ SETTINGS: dict[str, Setting] = {
 SETS = tuple(SETTINGS)
 BUILDINGS, QUICK_BUILDINGS = 20, 2
 COVERAGE, CORRECT = "coverage_over_steps", "correct_over_steps"
-GATES = tuple(Gate(f"tasks/{name}/tau_apart", "share", 0.1) for name in ("medium", "ActiveHalls-v0"))
 REFERENCE, RANDOM = "nearest", "random_goal"
+NONE = {"value": None}
 
 
 def run(options: Options) -> Figures:
@@ -60,19 +61,19 @@ def summarise(name: str, rows: list[Row]) -> Figures:
     returns = {row.policy: row.values("reward") for row in rows}
     metric = {row.policy: row.values(CORRECT if name in TASKS else COVERAGE) for row in rows}
     pairs = list(combinations(returns, 2))
-    apart = [pair for pair in pairs if is_apart(metric, pair)]
-    means = [(returns[policy].mean(), metric[policy].mean()) for policy in returns]
+    ways = {pair: [way(of[pair[0]] - of[pair[1]]) for of in (returns, metric)] for pair in pairs}
+    apart = [pair for pair in pairs if ways[pair][1][1]]  # whose metric differs for sure
+    agree = {pair: ways[pair][0][0] * ways[pair][1][0] > 0.0 for pair in apart}
+    means = [[of[policy].mean() for of in (returns, metric)] for policy in returns]
     figures: Figures = {
         "policies": {
             policy: {"return": estimate(returns[policy]), "metric": estimate(metric[policy])} for policy in returns
         },
-        "tau": float(kendalltau(*zip(*means, strict=True))[0]) if len(means) > 1 else 1.0,
-        "tau_apart": agreement(returns, metric, apart),
+        "tau": float(kendalltau(*np.array(means).T)[0]) if len(means) > 1 else 1.0,
+        "tau_apart": float(np.mean([1.0 if agree[pair] else -1.0 for pair in apart])) if apart else 1.0,
         "pairs_apart": [len(apart), len(pairs)],
         "r": correlation(np.stack(list(returns.values())), np.stack(list(metric.values()))),
-        "contradictions": [
-            list(pair) for pair in apart if is_apart(returns, pair) and not agree(returns, metric, pair)
-        ],
+        "contradictions": [list(pair) for pair in apart if ways[pair][0][1] and not agree[pair]],
     }
     if REFERENCE in returns and RANDOM in returns:
         figures["random_of_nearest"] = ratio(returns[RANDOM], returns[REFERENCE])
@@ -80,22 +81,10 @@ def summarise(name: str, rows: list[Row]) -> Figures:
     return figures
 
 
-def is_apart(values: Mapping[str, Any], pair: tuple[str, str]) -> bool:
-    """True where the paired difference of two policies has a 95 % interval without 0; one building has no interval."""
-    difference = estimate(values[pair[0]] - values[pair[1]])
-    return difference["n"] > 1 and bool(difference["low"] > 0.0 or difference["high"] < 0.0)
-
-
-def agree(returns: Mapping[str, Any], metric: Mapping[str, Any], pair: tuple[str, str]) -> bool:
-    """True where return and metric put two policies in the same order."""
-    of_return, of_metric = (values[pair[0]].mean() - values[pair[1]].mean() for values in (returns, metric))
-    return bool(of_return * of_metric > 0.0)
-
-
-def agreement(returns: Mapping[str, Any], metric: Mapping[str, Any], pairs: Sequence[tuple[str, str]]) -> float:
-    """Kendall's tau over some pairs; 1 without one."""
-    signs = [1.0 if agree(returns, metric, pair) else -1.0 for pair in pairs]
-    return float(np.mean(signs)) if signs else 1.0
+def way(difference: Array) -> tuple[float, bool]:
+    """The mean of a paired difference, and whether its 95 % interval is without 0; one building has no interval."""
+    found = estimate(difference)
+    return float(difference.mean()), found["n"] > 1 and bool(found["low"] > 0.0 or found["high"] < 0.0)
 
 
 def faults(figures: Figures) -> list[str]:
@@ -111,23 +100,19 @@ def report(figures: Figures) -> str:
     """How they agree in each task, and the returns of all policies."""
     tasks = figures["tasks"]
     heads = ["task", "tau", "tau, apart", "pairs apart", "r", "random / nearest: return", "metric"]
-    none = {"value": None}
     rows = [
         [
             *(name, task["tau"], task["tau_apart"], "{} of {}".format(*task["pairs_apart"]), task["r"]),
-            *(task.get("random_of_nearest", none), task.get("random_of_nearest_metric", none)),
+            *(task.get("random_of_nearest", NONE), task.get("random_of_nearest_metric", NONE)),
         ]
         for name, task in tasks.items()
     ]
-    names = list(dict.fromkeys(policy for task in tasks.values() for policy in task["policies"]))
-    by_policy = [[policy, *(cell(task["policies"].get(policy)) for task in tasks.values())] for policy in names]
+    names = dict.fromkeys(policy for task in tasks.values() for policy in task["policies"])
+    by_policy = [[name, *(both(task["policies"].get(name)) for task in tasks.values())] for name in names]
     returns = table(["return / metric", *tasks], by_policy)
     return f"{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
 
 
-def cell(found: Mapping[str, Any] | None) -> str:
+def both(found: dict[str, Any] | None) -> str:
     """Mean return with its interval, and mean metric."""
-    if found is None:
-        return "-"
-    paid, metric = found["return"], found["metric"]
-    return f"{paid['value']:.3f} [{paid['low']:.3f}, {paid['high']:.3f}] / {metric['value']:.3f}"
+    return f"{cell(found['return'], '.3f')} / {found['metric']['value']:.3f}" if found else "-"

@@ -15,60 +15,44 @@ from __future__ import annotations
 
 from typing import Any
 
-from benchmarks.common import Figures, Gate, Options, runs_of, share
+from benchmarks.common import Figures, Options, runs_of
 from benchmarks.drives import replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import columns_of, means, precision_and_recall, table_of
-from mecp_env.slam.config import chi2_of_point
+from benchmarks.tables import summary, table_of
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950
 LAYOUTS = ("furnished", HARD, "paper", "office")  # one after the other
 ROWS: dict[str, dict[str, Any]] = {  # name -> fields of the environment
-    "0.5 cm, 0.1 deg": {"laser": {"range_sigma_m": 0.005, "bearing_sigma_deg": 0.1}},
-    "1 cm, 0.1 deg": {"laser": {"range_sigma_m": 0.01, "bearing_sigma_deg": 0.1}},
-    "2 cm, 0.1 deg": {"laser": {"range_sigma_m": 0.02, "bearing_sigma_deg": 0.1}},
+    **{
+        f"{100.0 * sigma_m:g} cm, 0.1 deg": {"laser": {"range_sigma_m": sigma_m, "bearing_sigma_deg": 0.1}}
+        for sigma_m in (0.005, 0.01, 0.02)
+    },
     "paper": {},
-    "360 beams": {"laser": {"beams": 360}},
-    "1080 beams": {"laser": {"beams": 1080}},
+    **{f"{beams} beams": {"laser": {"beams": beams}} for beams in (360, 1080)},
     "range 4 m": {"laser": {"max_range_m": 4.0}},
     "slip": {"odometry": {"preset": "skid_steer"}},
     **{name: {"laser": {"preset": name}} for name in ("ideal", "utm30lx", "lms200", "rplidar_a1", "urg04lx")},
 }
-ELLIPSE = chi2_of_point(0.9)
 SETS = dict.fromkeys(ROWS, 16)
-MEANS = ("nees", "landmark_nees", "pair_nees", "in_ellipse", "rmse_m")
-
-GATES = tuple(Gate(f"{name}/nees", "bound", 4.0) for name in ROWS)
+COLUMNS = ("nees", "landmark_nees", "pair_nees", "in_ellipse", "rmse_m", "precision", "recall", "lost")
 
 
 def run(options: Options) -> Figures:
     """Results of every sensor."""
     drives = sorted(runs_of(options, SETS), key=lambda drive: drive[1])  # a part of the time: a part of each sensor
-    return {name: summarise(runs) for name, runs in on_records(counted, Figures, drives, options).items()}
-
-
-def course(name: str, seed: int) -> Course:
-    """What is driven with a sensor."""
-    layout = LAYOUTS[seed % len(LAYOUTS)]
-    where = place(layout, FIRST_BUILDING + seed)
-    return Course(where, FIRST_SEED + seed, {"estimator": "truth", "max_steps": MAX_STEPS, **ROWS[name]})
+    return {name: summary(runs, COLUMNS) for name, runs in on_records(counted, Figures, drives, options).items()}
 
 
 def counted(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> Figures:
-    """Counts of the estimator on one drive."""
-    drive = records.drive(course(*drive_of))
-    outcome = replay(drive, drive.slam)
-    return outcome.counts | {"in_ellipse": float((outcome.position_nees <= ELLIPSE).mean())}
-
-
-def summarise(runs: list[Figures]) -> Figures:
-    """Results of one sensor over its drives, each with its 95 % interval."""
-    columns = columns_of(runs)
-    return {**means(columns, *MEANS), **precision_and_recall(columns), "lost": share(columns["lost"] > 0)}
+    """Counts of the estimator on one drive with a sensor."""
+    name, seed = drive_of
+    where = place(LAYOUTS[seed % len(LAYOUTS)], FIRST_BUILDING + seed)
+    fields = {"estimator": "truth", "max_steps": MAX_STEPS, **ROWS[name]}
+    drive = records.drive(Course(where, FIRST_SEED + seed, fields))
+    return replay(drive, drive.slam).counts
 
 
 def report(figures: Figures) -> str:
     """One row per sensor."""
-    columns = (*MEANS, "precision", "recall", "lost")
     n = max(row["nees"]["n"] for row in figures.values())
-    return f"Drives per sensor: {n}.\n\n{table_of('sensor', columns, figures)}"
+    return f"Drives per sensor: {n}.\n\n{table_of('sensor', COLUMNS, figures)}"

@@ -21,29 +21,23 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, chosen, in_parallel, ratio, show_progress
+from benchmarks.common import Figures, Options, chosen, in_parallel, ratio, show_progress
 from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
 from benchmarks.tables import columns_of, listed, turned
-from benchmarks.vector import HELD
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16
 SETTING: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 200}
 SETS = {"vector": 1_000_000, "single": 1_000_000}  # control steps
 QUICK = {"vector": 16_000, "single": 4_000}
 MOST = 1_000_000_000
-SLICES, TENTH = 100, 10
+SLICES, TENTH, HELD = 100, 10, 10
 SAMPLES = 10  # of memory, in a slice
-
 BOUNDS = {
     "growth_mb": 5.0,
-    "more_files": 0.0,
-    "more_segments": 0.0,
-    "wrong_observations": 0.0,
-    "left_behind": 0.0,
+    **dict.fromkeys(("more_files", "more_segments", "wrong_observations", "left_behind"), 0.0),
     "processor_time_last_over_first": 1.1,
 }
-GATES = tuple(Gate(f"{name}/{figure}", "bound", most) for name in SETS for figure, most in BOUNDS.items())
 
 
 @dataclass(slots=True)
@@ -61,30 +55,21 @@ class Many:
     def __init__(self) -> None:
         self.env: Any = gymnasium.make_vec(NAME, num_envs=COUNT, **SETTING)
         self.observation, _ = self.env.reset(seed=0)
-        self.rng, self.calls = np.random.default_rng(0), 0
+        self.rng, self.calls, self.episodes = np.random.default_rng(0), 0, 0
 
-    def advance(self) -> tuple[int, int]:
-        """One step of all environments: control steps, and episodes that ended."""
+    def step(self) -> int:
+        """One step of all environments: control steps."""
         if self.calls % HELD == 0:
             self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (COUNT, 2)).astype(np.float32)
         self.calls += 1
         self.observation, _, terminated, truncated, infos = self.env.step(self.held)
-        return int((infos["period"] > 0).sum()), int((terminated | truncated).sum())
+        self.episodes += int((terminated | truncated).sum())
+        return int((infos["period"] > 0).sum())
 
 
-class One(RandomDriver):
-    """A single environment and random goals."""
-
-    def __init__(self) -> None:
-        super().__init__(gymnasium.make(NAME, actions="goal", **SETTING), goal)
-
-    def advance(self) -> tuple[int, int]:
-        """A drive to a goal: control steps, and episodes that ended."""
-        before = self.episodes
-        return self.step(), self.episodes - before
-
-
-KINDS = {"vector": Many, "single": One}
+def driver_of(kind: str) -> Any:
+    """The driver of a vector environment, or of a single one with random goals."""
+    return Many() if kind == "vector" else RandomDriver(gymnasium.make(NAME, actions="goal", **SETTING), goal)
 
 
 def run(options: Options) -> Figures:
@@ -97,62 +82,55 @@ def run(options: Options) -> Figures:
 def soak(task: tuple[str, int]) -> Soak:
     """Drive the environment of a kind for so many control steps, and watch it."""
     kind, steps = task
-    KINDS[kind]().env.close()  # starts what the process keeps: the servers of multiprocessing
-    before = open_files(["self"]) + shared_segments(["self"])
-    driver, watched = KINDS[kind](), Soak()
-    block = max(steps // SLICES, 1)
+    driver_of(kind).env.close()  # starts what the process keeps: the servers of multiprocessing
+    before = opened(["self"])
+    driver, watched, block = driver_of(kind), Soak(), max(steps // SLICES, 1)
     drive(driver, block * TENTH, watched, 2 * getattr(driver.env, "num_envs", 1))
-    begun = time.monotonic()
+    pids, begun = ["self", *getattr(driver.env, "pids", ())], time.monotonic()
     for number in range(SLICES):
-        watch(driver, block, watched)
+        watched.slices.append(watch(driver, pids, block, watched))
         show_progress(number + 1, SLICES, time.monotonic() - begun)
-    pids = pids_of(driver.env)
     driver.env.close()
-    watched.left_behind = max(open_files(pids) + shared_segments(pids) - before, 0)
+    watched.left_behind = max(opened(pids) - before, 0)
     return watched
 
 
-def pids_of(env: Any) -> list[Any]:
-    """This process and the workers of an environment."""
-    return ["self", *getattr(env, "pids", ())]
+def opened(pids: list[Any]) -> int:
+    """Files and segments of shared memory."""
+    return open_files(pids) + shared_segments(pids)
 
 
-def watch(driver: Any, steps: int, watched: Soak) -> None:
-    """Drive for a slice and append what it used."""
-    pids = pids_of(driver.env)
-    start, spent = time.perf_counter(), processor_s(pids)
-    memory, parts = list[float](), list[tuple[int, int]]()
+def watch(driver: Any, pids: list[Any], steps: int, watched: Soak) -> dict[str, float]:
+    """Drive for a slice: what it used."""
+    start, spent, episodes, counted = time.perf_counter(), processor_s(pids), driver.episodes, 0
+    memory = []
     for _ in range(SAMPLES):
-        parts.append(drive(driver, max(steps // SAMPLES, 1), watched))
+        counted += drive(driver, max(steps // SAMPLES, 1), watched)
         memory.append(own_memory_mb(pids))
-    counted, episodes = map(sum, zip(*parts, strict=True))
     used = {"seconds": time.perf_counter() - start, "processor_s": processor_s(pids) - spent}
-    used |= {"steps": counted, "episodes": episodes, "memory_mb": float(np.mean(memory))}
-    watched.slices.append(used | {"files": open_files(pids), "segments": shared_segments(pids)})
+    used |= {"steps": counted, "episodes": driver.episodes - episodes, "memory_mb": float(np.mean(memory))}
+    return used | {"files": open_files(pids), "segments": shared_segments(pids)}
 
 
-def drive(driver: Any, steps: int, watched: Soak, least: int = 0) -> tuple[int, int]:
-    """At least so many control steps and ends of episodes: their numbers."""
-    counted = episodes = 0
-    while counted < steps or episodes < least:
-        done, ended = driver.advance()
-        counted, episodes = counted + done, episodes + ended
-        watched.wrong += not sound(driver.env.observation_space, driver.observation)
-    return counted, episodes
-
-
-def sound(space: Any, observation: dict[str, Any]) -> bool:
-    """True when every number is finite and the observation is in its space."""
-    return all(np.isfinite(part).all() for part in observation.values()) and space.contains(observation)
+def drive(driver: Any, steps: int, watched: Soak, least: int = 0) -> int:
+    """At least so many control steps and ends of episodes: the number of steps."""
+    counted, last = 0, driver.episodes + least
+    while counted < steps or driver.episodes < last:
+        counted += driver.step()
+        observation, space = driver.observation, driver.env.observation_space
+        finite = all(np.isfinite(part).all() for part in observation.values())
+        watched.wrong += not (finite and space.contains(observation))
+    return counted
 
 
 def summarise(soak: Soak) -> Figures:
     """The figures of a run: first and last tenth, and what must be none."""
-    of, first, last = columns_of(soak.slices), slice(0, TENTH), slice(-TENTH, None)
+    of, tenths = columns_of(soak.slices), (slice(0, TENTH), slice(-TENTH, None))
+    first, last = tenths
+    memory = [float(of["memory_mb"][tenth].mean()) for tenth in tenths]
+    files, segments = ([int(of[name][tenth].max()) for tenth in tenths] for name in ("files", "segments"))
+    rate = [float(of["steps"][tenth].sum() / of["seconds"][tenth].sum()) for tenth in tenths]
     per_step = of["processor_s"] / of["steps"]
-    rate = [float(of["steps"][tenth].sum() / of["seconds"][tenth].sum()) for tenth in (first, last)]
-    memory = [float(of["memory_mb"][tenth].mean()) for tenth in (first, last)]
-    files, segments = ([int(of[name][tenth].max()) for tenth in (first, last)] for name in ("files", "segments"))
     return {
         "steps": int(of["steps"].sum()),
         "episodes": int(of["episodes"].sum()),
@@ -172,13 +150,13 @@ def summarise(soak: Soak) -> Figures:
 
 def faults(figures: Figures) -> list[str]:
     """What exceeds a bound, one line each."""
-    return [f"{name}: {fault}" for name, values in figures.items() for fault in _faults(values)]
-
-
-def _faults(values: Figures) -> list[str]:
-    least = {name: values[name]["low"] if isinstance(values[name], dict) else values[name] for name in BOUNDS}
-    found = [f"{name} {least[name]:.4g}, at most {most:g}" for name, most in BOUNDS.items() if not least[name] <= most]
-    return found + ["no episode ended"] * (not values["episodes"])
+    found = []
+    for name, values in figures.items():
+        least = {key: values[key]["low"] if isinstance(values[key], dict) else values[key] for key in BOUNDS}
+        over = [key for key, most in BOUNDS.items() if not least[key] <= most]
+        found += [f"{name}: {key} {least[key]:.4g}, at most {BOUNDS[key]:g}" for key in over]
+        found += [f"{name}: no episode ended"] * (not values["episodes"])
+    return found
 
 
 def report(figures: Figures) -> str:

@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from itertools import chain
+from itertools import count
 
 import numpy as np
 import pymunk
 
 from benchmarks import crowd_speed, peers, polygon_speed
-from benchmarks.common import Figures, Gate, Options
-from benchmarks.drives import drive_at_random, exploration
-from benchmarks.polygon_speed import SITES, median_us
+from benchmarks.common import Figures, Options
+from benchmarks.drives import exploration
+from benchmarks.in_tree import BEAMS, SWEEPS
+from benchmarks.polygon_speed import median_us
+from benchmarks.random_actions import RandomDriver, held
 from benchmarks.tables import sections, table, table_of
 from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.core.carriers import Array
@@ -28,15 +30,6 @@ from mecp_env.world.outline import Outline, build_outline, random_free_pose
 from mecp_env.wrappers import GoalActions
 
 LAYOUT = "paper"
-SWEEPS = (1, 4)
-BEAMS = 720
-
-GATES = (
-    *(Gate(f"env/K={k}/{actions}/steps_per_s", "rate_per_s", 1.3) for k in SWEEPS for actions in ("random", "bfs")),
-    *(Gate(f"crowd/{actions}/200 walls, 8 people/ratio", "bound", 2.0) for actions in ("random", "bfs")),
-    Gate("rays/kernel_us", "time", 1.3),
-    *(Gate(f"polygon/kernel/{kind}/n={n}", "time", 1.5) for kind in ("uniform", "convex") for n in SITES),
-)
 
 
 def run(options: Options) -> Figures:
@@ -63,31 +56,36 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
     return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver, "us": stages.microseconds()}
 
 
+def wander(env: MecpEnv, steps: int) -> None:
+    """Random velocities."""
+    driver = RandomDriver(env, held())
+    for _ in range(steps):
+        driver.step()
+
+
 def explore(env: MecpEnv, steps: int) -> None:
     """Whole explorations, one after the other, until enough steps are over."""
     goals, seen = GoalActions(env), 0
-    for info, _ in chain.from_iterable(exploration(goals, seed) for seed in range(steps)):
+    for info, _ in (goal for seed in count() for goal in exploration(goals, seed)):
         seen += info["periods"]
         if seen >= steps:
             return
 
 
-DRIVES = {"random": drive_at_random, "bfs": explore}
+DRIVES = {"random": wander, "bfs": explore}
 
 
 def rays(poses: int) -> Figures:
     """Median time of a sweep of 720 rays from random poses: compiled, laser, pymunk, NumPy."""
-    outline = build_outline(load_layout(LAYOUT))
-    rng = np.random.default_rng(0)
+    outline, rng = build_outline(load_layout(LAYOUT)), np.random.default_rng(0)
     places = [random_free_pose(outline, rng, 0.3) for _ in range(poses)]
     laser = Laser(outline, LaserConfig(preset="paper", sweeps=1, beams=BEAMS))
-    space = pymunk_space(outline)
-    few = places[:10]
-    faces, table = laser._segments, laser._table
-    spacing = 2.0 * math.pi / table.shape[1]
+    few, space = places[:10], pymunk_space(outline)
+    faces, angles = laser._segments, laser._table
+    spacing = 2.0 * math.pi / angles.shape[1]
     return {
         "faces": len(outline.segments),
-        "kernel_us": median_us(lambda pose: _cast(faces, pose, table, spacing, 0.0), places),
+        "kernel_us": median_us(lambda pose: _cast(faces, pose, angles, spacing, 0.0), places),
         "laser_with_noise_us": median_us(lambda pose: laser.scan(pose, rng), places),
         "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few, repeats=3),
         "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few, repeats=3),
@@ -102,12 +100,16 @@ def pymunk_space(outline: Outline) -> pymunk.Space:
     return space
 
 
+def angles_at(T_world_robot: Array) -> Array:
+    """(720,) rad of the rays in the world."""
+    return T_world_robot[2] - math.pi + np.arange(1, BEAMS + 1) * 2.0 * math.pi / BEAMS
+
+
 def query_pymunk(space: pymunk.Space, T_world_robot: Array) -> list[float]:
     """Ranges of 720 rays by `segment_query_first`."""
-    (x, y, heading), reach = T_world_robot.tolist(), 30.0
+    (x, y, _), reach = T_world_robot.tolist(), 30.0
     ranges = []
-    for beam in range(BEAMS):
-        angle = heading - math.pi + (beam + 1) * 2.0 * math.pi / BEAMS
+    for angle in angles_at(T_world_robot).tolist():
         end = x + reach * math.cos(angle), y + reach * math.sin(angle)
         found = space.segment_query_first((x, y), end, 0.0, pymunk.ShapeFilter())
         ranges.append(reach * found.alpha if found else math.inf)
@@ -116,7 +118,7 @@ def query_pymunk(space: pymunk.Space, T_world_robot: Array) -> list[float]:
 
 def brute_force(segments: Array, T_world_robot: Array) -> Array:
     """Ranges (720,) of every ray against every face."""
-    angles = T_world_robot[2] - math.pi + np.arange(1, BEAMS + 1) * 2.0 * math.pi / BEAMS
+    angles = angles_at(T_world_robot)
     dx, dy = np.cos(angles)[:, None], np.sin(angles)[:, None]
     ax, ay = (segments[:, 0] - T_world_robot[:2]).T
     ex, ey = (segments[:, 1] - segments[:, 0]).T
@@ -129,23 +131,18 @@ def brute_force(segments: Array, T_world_robot: Array) -> Array:
 def report(figures: Figures) -> str:
     """Tables: steps per second, time per stage, rays, polygons."""
     settings = {f"{k}, {actions}": of for k, both in figures["env"].items() for actions, of in both.items()}
-    stages = next(iter(settings.values()))["us"]
+    stages = [(stage, *(of["us"][stage] for of in settings.values())) for stage in next(iter(settings.values()))["us"]]
     kernel = figures["polygon"]["kernel"]
     sites = [(n, *(kernel[kind][n] for kind in ("uniform", "convex"))) for n in kernel["uniform"]]
+    rates, heads = ("steps_per_s", "with_driver_per_s"), ["sites", "uniform", "convex position"]
     return sections(
         {
-            "Steps per second (layout `paper`, 720 beams, one core)": table_of(
-                "sweeps, actions", ("steps_per_s", "with_driver_per_s"), settings
-            ),
-            "Time per stage, us": table(
-                ["stage", *settings], [(stage, *(of["us"][stage] for of in settings.values())) for stage in stages]
-            ),
+            "Steps per second (layout `paper`, 720 beams, one core)": table_of("sweeps, actions", rates, settings),
+            "Time per stage, us": table(["stage", *settings], stages),
             "MiniGrid and ir-sim": peers.report(figures["peers"]),
             "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{crowd_speed.report(figures['crowd'])}",
             "720 rays, us (median over poses)": table(["what", "value"], figures["rays"].items()),
-            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(
-                ["sites", "uniform", "convex position"], sites
-            ),
+            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(heads, sites),
             "The polygon stage on scans, edge intervals included (median)": table_of(
                 "layout", ("sites", "stage_us"), figures["polygon"]["scans"]
             ),

@@ -14,13 +14,12 @@ from __future__ import annotations
 
 import multiprocessing
 import time
-from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import gymnasium
 import numpy as np
 
-from benchmarks.common import Figures, Gate, Options, estimate, steps_per_s
+from benchmarks.common import Figures, Options, estimate, steps_per_s
 from benchmarks.process_use import processor_s
 from benchmarks.random_actions import RandomDriver, sample
 from benchmarks.tables import whole_rows
@@ -31,8 +30,7 @@ ROLLOUT = 4096  # actions of all environments
 POLICIES = {"flat": "MlpPolicy", "image": "CnnPolicy", "dict": "MultiInputPolicy"}
 
 
-@dataclass(frozen=True)
-class Case:
+class Case(NamedTuple):
     """What is trained, and where."""
 
     observation: str
@@ -50,6 +48,17 @@ class Case:
     def fields(self) -> dict[str, Any]:
         return {"observation": self.observation, "actions": self.actions}
 
+    def make(self) -> Any:
+        """The environments as a user would make them."""
+        from stable_baselines3.common.env_util import make_vec_env
+        from stable_baselines3.common.vec_env import SubprocVecEnv
+
+        from mecp_env.learning import sb3_batch
+
+        if self.batch:
+            return sb3_batch.make(ROOMS, self.environments, workers=2, **self.fields)
+        return make_vec_env(MODULE_AND_ID, self.environments, env_kwargs=self.fields, vec_env_cls=SubprocVecEnv)
+
 
 CASES = (
     Case("flat"),
@@ -58,7 +67,6 @@ CASES = (
     Case("image", part=2),
     Case("dict", part=4),
 )
-GATES = (Gate(f"{CASES[0].name}/over_single", "share", 0.25),)
 
 
 def run(options: Options) -> Figures:
@@ -73,11 +81,11 @@ def compare(case: Case, rounds: int, seconds: float, actions: int) -> Figures:
     from stable_baselines3 import PPO
 
     torch.set_num_threads(1)
-    single, venv = RandomDriver(gymnasium.make(MODULE_AND_ID, **case.fields), sample), make_venv(case)
+    single, venv = RandomDriver(gymnasium.make(MODULE_AND_ID, **case.fields), sample), case.make()
     model = PPO(POLICIES[case.observation], venv, n_steps=actions // case.environments)
     measured = [(steps_per_s(single.step, seconds), *learn(model, actions)) for _ in range(rounds + 1)][1:]
     venv.close()
-    alone, rates, learner, others = (np.array(column) for column in zip(*measured, strict=True))
+    alone, rates, learner, others = np.array(measured).T
     return {
         "steps_per_s": estimate(rates),
         "single_per_s": estimate(alone),
@@ -88,32 +96,19 @@ def compare(case: Case, rounds: int, seconds: float, actions: int) -> Figures:
     }
 
 
-def make_venv(case: Case) -> Any:
-    """The environments as a user would make them."""
-    from stable_baselines3.common.env_util import make_vec_env
-    from stable_baselines3.common.vec_env import SubprocVecEnv
-
-    from mecp_env.learning import sb3_batch
-
-    if case.batch:
-        return sb3_batch.make(ROOMS, case.environments, workers=2, **case.fields)
-    return make_vec_env(MODULE_AND_ID, case.environments, env_kwargs=case.fields, vec_env_cls=SubprocVecEnv)
-
-
 def learn(model: Any, actions: int) -> tuple[float, float, float]:
     """Control steps per second of one rollout with its update; CPU s per step of the learner, and of the others."""
-    steps = 0
+    counts = list[int]()
 
     def count(inner: dict[str, Any], _: Any) -> bool:
-        nonlocal steps
-        steps += sum(info.get("periods", 1) for info in inner["infos"])
+        counts.append(sum(info.get("periods", 1) for info in inner["infos"]))
         return True
 
     others = [process.pid for process in multiprocessing.active_children() if process.pid]
     start, used, before = time.perf_counter(), time.process_time(), processor_s(others)
     model.learn(actions, callback=count)
-    rate = steps / (time.perf_counter() - start)
-    return rate, (time.process_time() - used) / steps, (processor_s(others) - before) / steps
+    seconds, steps = time.perf_counter() - start, sum(counts)
+    return steps / seconds, (time.process_time() - used) / steps, (processor_s(others) - before) / steps
 
 
 def report(figures: Figures) -> str:

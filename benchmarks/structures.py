@@ -19,14 +19,13 @@ from typing import Any
 import numpy as np
 
 from benchmarks import association, loop
-from benchmarks.common import Figures, Gate, Options, estimate, ratio, runs_of
+from benchmarks.common import Figures, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import figures_of, front_end, named, right_share
-from benchmarks.tables import by_row, columns_of, means, ratios, sections, table_of, turned
+from benchmarks.rough_pose import COLUMNS, front_end, named, right_share
+from benchmarks.tables import by_row, columns_of, sections, summary, table_of, turned
 from benchmarks.variants import DEFAULT, with_change
-from mecp_env.core.carriers import Array
 from mecp_env.slam import SlamConfig, config
 from mecp_env.slam.mecp import find_structure
 
@@ -35,13 +34,9 @@ ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the se
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
 VARIANTS = (DEFAULT, "mecp without descriptor")
 SUMMARY = ("precision", "recall", "duplicates_per_corner", "closure_recall", "events", "rmse_m", "map_rmse_m", "lost")
+OF_POLYGONS = ("by_polygon", "recognised", "unique", "vertices", "area_m2", "us")
 TIMED_SCANS = 25  # of a drive
 PLAIN = "mecp"
-
-GATES = (
-    Gate("closed/paper/largest_area/recall", "share", 0.01),
-    Gate("closed/twins/mecp/false_per_100", "bound", 5.0),
-)
 
 
 def run(options: Options) -> Figures:
@@ -49,34 +44,21 @@ def run(options: Options) -> Figures:
     drives = runs_of(options, SETS)
     units = [("closed", layout, seed) for layout, seed in drives]
     units += [("rough", layout, seed) for layout, seed in drives if seed < ROUGH.get(layout, 0)]
-    found = on_records(measure, dict[str, Any], units, options)
     parts: Figures = {"closed": {}, "rough": {}}
-    for (kind, layout), runs in found.items():
-        rows, summary = by_row(runs), of_closed if kind == "closed" else of_rough
-        parts[kind][layout] = {name: summary(own, rows[PLAIN]) for name, own in rows.items()}
+    for (kind, layout), runs in on_records(measure, dict[str, Any], units, options).items():
+        rows, of = by_row(runs), of_closed if kind == "closed" else of_rough
+        parts[kind][layout] = {name: of(own, rows[PLAIN]) for name, own in rows.items()}
     return parts
-
-
-def names() -> tuple[str, ...]:
-    """The structures that are compared."""
-    return (*config.STRUCTURE_NAMES.ours, *config.STRUCTURE_NAMES.others)
 
 
 def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures:
     """The counts of each structure on one drive."""
     kind, layout, seed = unit
-    if kind == "rough":
-        drive = records.drive(loop.course(layout, seed))
-        return {
-            name: loop.on_drive(with_structure(drive, name), loop.SCANS, seed, VARIANTS, SIGMAS) for name in names()
-        }
-    drive = records.drive(association.course(layout, seed))
-    return {name: closed_loop(with_structure(drive, name)) for name in names()}
-
-
-def with_structure(drive: Drive, name: str) -> Drive:
-    """The same data for an estimator with another structure."""
-    return replace(drive, slam=with_change(drive.slam, {"polygon": {"structure": name}}))
+    drive, found = records.drive((loop if kind == "rough" else association).course(layout, seed)), Figures()
+    for name in (*config.STRUCTURE_NAMES.ours, *config.STRUCTURE_NAMES.others):
+        own = replace(drive, slam=with_change(drive.slam, {"polygon": {"structure": name}}))
+        found[name] = loop.on_drive(own, loop.SCANS, seed, VARIANTS, SIGMAS) if kind == "rough" else closed_loop(own)
+    return found
 
 
 def closed_loop(drive: Drive) -> Figures:
@@ -93,21 +75,16 @@ def time_us(drive: Drive, slam: SlamConfig) -> float:
 
 def of_closed(runs: list[Figures], base: list[Figures]) -> Figures:
     """Figures of one structure over all drives of a layout, with 95 % intervals and differences to `mecp`."""
-    columns, usual, summary = columns_of(runs), columns_of(base), association.summarise(runs)
+    columns, usual = columns_of(runs), columns_of(base)
+    paired, usually = (of["paired"] / np.maximum(of["seen"], 1.0) for of in (columns, usual))
     return {
         "drives": len(runs),
-        **{key: summary[key] for key in SUMMARY},
+        **summary(runs, SUMMARY),
         "false_per_100": ratio(100.0 * columns["false_closures"], np.ones(len(runs))),
-        **ratios(columns, by_polygon="paired/seen", recognised="recognised/scans", unique="unique/found"),
-        **means(columns, "vertices", "area_m2", "us"),
+        **summary(runs, OF_POLYGONS),
         **association.differences(runs, base),
-        "by_polygon_minus_mecp": estimate(paired_share(columns) - paired_share(usual)),
+        "by_polygon_minus_mecp": estimate(paired - usually),
     }
-
-
-def paired_share(columns: dict[str, Array]) -> Array:
-    """(n,) share of corners that polygons paired in each drive."""
-    return columns["paired"] / np.maximum(columns["seen"], 1.0)
 
 
 def of_rough(runs: list[Any], base: list[Any]) -> Figures:
@@ -116,7 +93,7 @@ def of_rough(runs: list[Any], base: list[Any]) -> Figures:
     for variant, sigma in product(VARIANTS, map(named, SIGMAS)):
         own, usual = ([run[variant][sigma] for run in some] for some in (runs, base))
         gained = right_share(own) - right_share(usual)
-        figures[f"{variant}, {sigma}"] = figures_of(own) | {"right_minus_mecp": estimate(gained)}
+        figures[f"{variant}, {sigma}"] = summary(own, COLUMNS) | {"right_minus_mecp": estimate(gained)}
     return figures
 
 

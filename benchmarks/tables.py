@@ -1,4 +1,4 @@
-"""Figures of several runs as columns, their means and ratios with 95 % intervals, and tables of them in Markdown."""
+"""Figures of several runs with their 95 % intervals, each defined once for all benchmarks, and tables in Markdown."""
 
 from __future__ import annotations
 
@@ -8,10 +8,43 @@ from typing import Any
 import numpy as np
 
 from mecp_env.core.carriers import Array
-from mecp_env.core.intervals import Figures, estimate, ratio
+from mecp_env.core.intervals import Figures, estimate, ratio, share
 from mecp_env.policies.report import markdown_table
 
 Rows = Mapping[str, Mapping[str, Any]]  # figures of each named row
+
+RATIOS = {  # figures that are a sum over a sum, where the runs have both
+    "after_door_wrong": "after_door_wrong/after_door",
+    "budget_spent": "budget_spent/scans",
+    "by_polygon": "paired/seen",
+    "closure_recall": "closed/events",
+    "contacts_per_100_m": "contacts_100/metres",
+    "door_precision": "doors_found/all_doors_found",
+    "door_recall": "doors_found/doors",
+    "doors_false_per_10_true": "doors_false_10/doors",
+    "doors_found": "doors_found/doors",
+    "duplicates_per_corner": "duplicates/mapped",
+    "false_closures": "false_closures/events",
+    "found": "found/scans",
+    "periods_per_m2": "periods/free_area_m2",
+    "phantoms": "phantoms/far",
+    "polygon": "polygon/scans",
+    "possible": "possible/scans",
+    "precision": "tp/tp+fp",
+    "recall": "tp/tp+fn",
+    "recognised": "recognised/scans",
+    "right": "right/scans",
+    "room_precision": "rooms_found/all_rooms_found",
+    "room_recall": "rooms_found/rooms",
+    "rooms_found": "rooms_found/rooms",
+    "rooms_left": "rooms/all_rooms",
+    "swapped_per_1000": "swapped/thousands",
+    "unique": "unique/found",
+    "wrong": "wrong/pairs",
+    "wrong_per_1000": "fp/thousands",
+}
+SHARES = ("lost", "complete", "seen", "stuck", "early", "reached_90%", "reached_99%")  # of the runs
+SUMS = {"wrong_pairs": "wrong"} | {name: name for name in ("events", "far", "scans")}  # figure -> what is counted
 
 
 def columns_of(rows: Sequence[Mapping[str, Any]]) -> dict[str, Array]:
@@ -24,47 +57,37 @@ def by_row(runs: Sequence[Mapping[str, Any]]) -> dict[str, list[Any]]:
     return {name: [run[name] for run in runs] for name in runs[0] if all(name in run for run in runs)}
 
 
-def means(columns: Mapping[str, Array], *names: str) -> Figures:
-    """Means of some columns, each with its 95 % interval."""
-    return {name: estimate(columns[name]) for name in names}
+def summary(runs: Sequence[Mapping[str, Any]], names: Iterable[str]) -> Figures:
+    """Some figures of n runs: ratios of sums, shares of the runs and means, with 95 % intervals, and numbers in all."""
+    columns = columns_of(runs)
+    return {name: _figure(columns, name) for name in names}
 
 
-def ratios(columns: Mapping[str, Array], **pairs: str) -> Figures:
-    """Ratios of sums of two columns with their 95 % intervals; each is given as `part/whole`."""
-    return {name: ratio(*(columns[column] for column in pair.split("/"))) for name, pair in pairs.items()}
+def _figure(columns: Mapping[str, Array], name: str) -> Any:
+    part, *wholes = RATIOS.get(name, name).replace("/", "+").split("+")
+    if wholes and columns.keys() >= {part, *wholes}:
+        return ratio(columns[part], sum(columns[whole] for whole in wholes))
+    if name in SUMS:
+        return int(columns[SUMS[name]].sum())
+    return share(columns[name] > 0.5) if name in SHARES else estimate(columns[name])
 
 
-def precision_and_recall(columns: Mapping[str, Array]) -> Figures:
-    """Both of the pairs that are right, wrong and missed, `tp`, `fp` and `fn`, with their 95 % intervals."""
-    tp = columns["tp"]
-    return {"precision": ratio(tp, tp + columns["fp"]), "recall": ratio(tp, tp + columns["fn"])}
+def of_visits(finals: Sequence[Mapping[str, Any]], names: Iterable[str]) -> Figures:
+    """`summary` of explorations, from the summaries of their episodes."""
+    return summary([{**final, **_further(final)} for final in finals], names)
 
 
-VISIT_RATIOS = {  # figures of explorations that are a sum over a sum
-    "contacts_per_100_m": "contacts_100/metres",
-    "door_precision": "doors_found/all_doors_found",
-    "door_recall": "doors_found/doors",
-    "doors_false_per_10_true": "doors_false_10/doors",
-    "doors_found": "doors_found/doors",
-    "periods_per_m2": "periods/free_area_m2",
-    "precision": "right/association_pairs",
-    "room_precision": "rooms_found/all_rooms_found",
-    "room_recall": "rooms_found/rooms",
-    "rooms_found": "rooms_found/rooms",
-    "rooms_left": "rooms/all_rooms",
-}
-
-
-def of_visits(finals: Sequence[Mapping[str, Any]], names: Sequence[str]) -> Figures:
-    """Figures of explorations from their summaries: ratios of sums, or means, with their 95 % intervals."""
-    of = columns_of(finals)
-    of |= {"right": of["association_pairs"] - of["association_false"], "contacts_100": 100.0 * of["contacts"]}
-    of |= {"all_rooms": of["rooms"] + of["rooms_cut_off"], "recall": of["association_recall"], "nees": of["nees_mean"]}
-    of |= {f"all_{kind}_found": of[f"{kind}_found"] + of[f"{kind}_false"] for kind in ("rooms", "doors")}
-    of |= {"doors_false_10": 10.0 * of["doors_false"]}
-    return {
-        name: ratios(of, **{name: VISIT_RATIOS[name]})[name] if name in VISIT_RATIOS else estimate(of[name])
-        for name in names
+def _further(final: Mapping[str, Any]) -> dict[str, float]:
+    """Sums of a summary that ratios need, and other names."""
+    further = {f"all_{kind}_found": final[f"{kind}_found"] + final[f"{kind}_false"] for kind in ("rooms", "doors")}
+    return further | {
+        "tp": final["association_pairs"] - final["association_false"],
+        "fp": final["association_false"],
+        "recall": final["association_recall"],
+        "contacts_100": 100.0 * final["contacts"],
+        "all_rooms": final["rooms"] + final["rooms_cut_off"],
+        "nees": final["nees_mean"],
+        "doors_false_10": 10.0 * final["doors_false"],
     }
 
 

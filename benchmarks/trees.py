@@ -7,23 +7,36 @@ import contextlib
 import io
 import json
 import os
-import signal
+import resource
 import subprocess
 import sys
 import tarfile
 import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+import time
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
-from benchmarks.common import OptionError
+from benchmarks.common import OptionError, Options, in_turns
 
 WORKING_TREE = Path(__file__).resolve().parent.parent
+SCRIPT = Path(__file__).with_name("in_tree.py")
+HERE = "working tree"
 
 
 class TreeError(RuntimeError):
     """A tree could not be run."""
+
+
+def in_turns_by_tree(options: Options, runs: int, measure: Callable[[Path], Any]) -> dict[str, list[Any]]:
+    """What is measured in the working tree, and in turns with it in that of `--against`, by the name of the tree."""
+    trees = {HERE: WORKING_TREE}
+    with contextlib.ExitStack() as stack:
+        if options.against is not None:
+            trees[options.against] = stack.enter_context(checkout(options.against))
+        turns = in_turns({name: partial(measure, tree) for name, tree in trees.items()}, runs)
+    return {name: [turn[name] for turn in turns] for name in trees}
 
 
 @contextlib.contextmanager
@@ -33,8 +46,6 @@ def checkout(ref: str) -> Iterator[Path]:
     if commit.returncode:
         raise OptionError(f"--against {ref}: no such commit in {WORKING_TREE.name}")
     archive = _git("archive", "--format=tar", commit.stdout.decode().strip())
-    if archive.returncode:
-        raise OptionError(f"--against {ref}: {archive.stderr.decode(errors='replace').strip()}")
     with tempfile.TemporaryDirectory(prefix="mecp_env-tree-") as folder:
         with tarfile.open(fileobj=io.BytesIO(archive.stdout)) as files:
             files.extractall(folder, filter="data")
@@ -49,59 +60,23 @@ def _git(*words: str) -> subprocess.CompletedProcess[bytes]:
         raise OptionError("--against: git is not installed") from None
 
 
-def command(*arguments: str) -> list[str]:
-    """The command that runs `in_tree.py`; `-P`: the folder of the script is not put on the path."""
-    return [sys.executable, "-P", str(Path(__file__).with_name("in_tree.py")), *arguments]
+def run_in(tree: Path, *arguments: str, **variables: str) -> dict[str, Any]:
+    """What `in_tree.py` answers in a tree, with `cpu_s` and `wall_s` of it and the processes that it waited for.
 
-
-@contextlib.contextmanager
-def started(tree: Path, words: Sequence[str], variables: Mapping[str, str], **streams: Any) -> Iterator[Any]:
-    """A process in a tree, whose children import the package of that tree; at the end it and all of them are ended."""
-    process = subprocess.Popen(
+    Raises `TreeError` with what a process that failed wrote.
+    """
+    words = [sys.executable, "-P", str(SCRIPT), *arguments]  # -P: the folder of the script is not put on the path
+    before, begun = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
+    ended = subprocess.run(
         words,
         cwd=tree,
-        env=os.environ | {"PYTHONPATH": str(tree), **variables},
+        env=os.environ | {"PYTHONPATH": str(tree)} | variables,
+        capture_output=True,
         text=True,
-        start_new_session=True,
-        **streams,
+        check=False,
     )
-    try:
-        yield process
-    finally:
-        with contextlib.suppress(OSError):
-            os.killpg(process.pid, signal.SIGKILL)
-        with contextlib.suppress(BrokenPipeError), process:  # it may end before it has read everything
-            pass
-
-
-@contextlib.contextmanager
-def tree_worker(name: str, tree: Path, *arguments: str) -> Iterator[TreeWorker]:
-    """A process that runs `in_tree.py` in one tree and answers calls; it waits idle between them."""
-    pipe = subprocess.PIPE
-    with (
-        tempfile.TemporaryFile() as errors,
-        started(tree, command("drive", *arguments), {}, stdin=pipe, stdout=pipe, stderr=errors) as process,
-    ):
-        yield TreeWorker(name, process, errors)
-
-
-@dataclass(frozen=True, slots=True)
-class TreeWorker:
-    """The calls of a worker."""
-
-    name: str
-    process: Any
-    errors: IO[bytes]
-
-    def call(self, method: str, *arguments: Any) -> dict[str, Any]:
-        """What a method of `in_tree.BlockDriver` returns. Raises `TreeError` with what a dead worker wrote last."""
-        with contextlib.suppress(BrokenPipeError):
-            self.process.stdin.write(json.dumps([method, *arguments]) + "\n")
-            self.process.stdin.flush()
-        line = self.process.stdout.readline()
-        if not line:
-            code = self.process.wait()
-            self.errors.seek(0)
-            last = self.errors.read().decode(errors="replace").strip()
-            raise TreeError(f"{self.name}: the worker ended with exit code {code}\n{last}")
-        return json.loads(line)
+    used, wall_s = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter() - begun
+    if ended.returncode:
+        raise TreeError(f"{tree}: {SCRIPT.name} ended with exit code {ended.returncode}\n{ended.stderr.strip()}")
+    answer: dict[str, Any] = json.loads(ended.stdout.splitlines()[-1])
+    return answer | {"cpu_s": used.ru_utime + used.ru_stime - before.ru_utime - before.ru_stime, "wall_s": wall_s}

@@ -11,21 +11,23 @@ full estimator, over the greedy one, `next_best_view`. An episode is lost as in 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Gate, OptionError, Options, estimate, share
+from benchmarks.common import Figures, OptionError, Options, chosen, estimate, in_parallel, share
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.policy_runs import buildings_of, checked, rows_of
 from benchmarks.tables import sections, table
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.evaluation import Evaluation, Row
+from mecp_env.policies.registry import make_policy
 from mecp_env.policies.report import cell
+from mecp_env.policies.rollout import EpisodeResult, run_episode
 from mecp_env.policies.setting import Setting
+from mecp_env.world.config import SPLITS
 
 TASK = "ActiveHalls-v0"
 POLICIES = ("nearest", "next_best_view", "gain", "pause", "returning", "stachniss")
@@ -38,23 +40,42 @@ CHANGES: dict[str, dict[str, Any]] = {  # point -> what differs from the task
     **{f"range_{metres:g}_m": {"laser": {"max_range_m": metres}} for metres in RANGES_M},
 }
 BUILDINGS, QUICK_BUILDINGS = 50, 1
+MOST = len(SPLITS["test"])  # buildings
 SETS = tuple(CHANGES)
 QUICK = (BASE, "odometry_x8")
 METRIC = "correct_over_steps"
 KEPT = (METRIC, "correct_coverage", "coverage", "lost", "pose_error_mean_m", "map_rmse_m")
-PRICES = {"price": ("truth", "slam"), "price_known": ("known", "slam")}
 GREEDY = "next_best_view"  # to which the others are compared
+PRICES = {"price": ("truth", "slam"), "price_known": ("known", "slam")}
 DIFFERENCES = {  # heading of each; `over` only where the greedy policy is one of them
     "price": "price of uncertainty",
     "price_known": "price of wrong correspondences",
     "over": f"over `{GREEDY}`",
 }
 
-GATES = tuple(
-    Gate(f"points/{point}/{policy}/slam/{METRIC}", "share", 0.03)
-    for point in (BASE, "odometry_x4", "range_8_m")
-    for policy in ("next_best_view", "returning")
-)
+
+def checked(policies: Sequence[str]) -> tuple[str, ...]:
+    """The names of policies, each once. Raises `ConfigError` for an unknown one."""
+    for policy in policies:
+        make_policy(policy)
+    return tuple(dict.fromkeys(policies))
+
+
+def buildings_of(options: Options, settings: Iterable[str], each: int) -> dict[str, int]:
+    """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
+    if options.buildings > MOST:
+        raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
+    counts = dict.fromkeys(settings, options.buildings or each)
+    return chosen(options.sets, counts, MOST) or counts
+
+
+def rows_of(evaluations: Mapping[str, Evaluation], options: Options) -> dict[str, list[Row]]:
+    """The rows of each evaluation, which has all its episodes then."""
+    tasks = [(name, task) for name, of in evaluations.items() for task in of.tasks()]
+    units = {f"{name} {task.setting.name} {task.name}": task for name, task in tasks}
+    for (name, _), result in zip(tasks, in_parallel(run_episode, EpisodeResult, units, options), strict=True):
+        evaluations[name].results.append(result)
+    return {name: of.rows() for name, of in evaluations.items()}
 
 
 def run(options: Options) -> Figures:
@@ -83,20 +104,19 @@ def range_of(task: str) -> float:
 
 
 def of_policies(rows: Sequence[Row]) -> Figures:
-    """Results of each policy at one point."""
+    """Results of each policy at one point: each estimator, the prices, and the gain over the greedy one, if there."""
     found: dict[str, dict[str, Row]] = {}
     for row in rows:
         found.setdefault(row.policy, {})[row.estimator] = row
-    return {policy: summarise(of, found.get(GREEDY)) for policy, of in found.items()}
-
-
-def summarise(of: Mapping[str, Row], greedy: Mapping[str, Row] | None) -> Figures:
-    """Results of one policy at one point: each estimator, the prices, and the gain over the greedy one, if there."""
-    figures: Figures = {name: figures_of(of[name]) for name in ESTIMATORS}
-    gains = {name: of[more].values(METRIC) - of[less].values(METRIC) for name, (more, less) in PRICES.items()}
-    if greedy is not None:
-        gains["over"] = of["slam"].values(METRIC) - greedy["slam"].values(METRIC)
-    return figures | {name: estimate(gain) for name, gain in gains.items()}
+    figures: Figures = {}
+    for policy, of in found.items():
+        score = {name: row.values(METRIC) for name, row in of.items()}
+        gains = {name: score[more] - score[less] for name, (more, less) in PRICES.items()}
+        if GREEDY in found:
+            gains["over"] = score["slam"] - found[GREEDY]["slam"].values(METRIC)
+        figures[policy] = {name: figures_of(of[name]) for name in ESTIMATORS}
+        figures[policy] |= {name: estimate(gain) for name, gain in gains.items()}
+    return figures
 
 
 def figures_of(row: Row) -> Figures:
@@ -109,28 +129,25 @@ def report(figures: Figures) -> str:
     header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
     parts = {}
     for point, policies in figures["points"].items():
-        there = {
-            name: title for name, title in DIFFERENCES.items() if all(name in found for found in policies.values())
-        }
-        rows = [[policy, *row_of(found, list(there))] for policy, found in policies.items()]
+        there = {key: title for key, title in DIFFERENCES.items() if all(key in of for of in policies.values())}
+        rows = [[policy, *row_of(of, list(there))] for policy, of in policies.items()]
         count = next(iter(policies.values()))["price"]["n"]
-        title = f"{title_of(point, figures)}, {count} building{'s' * (count > 1)}"
+        title = f"{title_of(point, figures['range_m'])}, {count} building{'s' * (count > 1)}"
         parts[title] = table([*header, *there.values()], rows)
     return f"Task: `{figures['task']}`.\n\n{sections(parts)}"
 
 
 def row_of(found: Figures, differences: Sequence[str]) -> list[str]:
     """The cells of a policy."""
-    qualities = [cell(found[name][METRIC], ".3f", 1.0) for name in ESTIMATORS]
+    qualities = [cell(found[name][METRIC], ".3f") for name in ESTIMATORS]
     lost = [cell(found[name]["lost"], ".0f", 100.0) for name in ESTIMATORS]
-    return [*qualities, *lost, *(cell(found[name], "+.3f", 1.0) for name in differences)]
+    return [*qualities, *lost, *(cell(found[name], "+.3f") for name in differences)]
 
 
-def title_of(point: str, figures: Figures) -> str:
+def title_of(point: str, range_m: float) -> str:
     """What a point changes, in words."""
-    changes = CHANGES[point]
-    scale = changes.get("odometry", {}).get("scale", 1.0)
-    metres = changes.get("laser", {}).get("max_range_m", figures["range_m"])
+    scale = CHANGES[point].get("odometry", {}).get("scale", 1.0)
+    metres = CHANGES[point].get("laser", {}).get("max_range_m", range_m)
     return f"Odometry noise x{scale:g}, range {metres:g} m"
 
 
@@ -141,25 +158,16 @@ def axes_of(figures: Figures) -> dict[str, dict[str, str]]:
         "odometry noise": {BASE: "x1"} | {f"odometry_x{scale:g}": f"x{scale:g}" for scale in SCALES},
         "laser range": {point: f"{metres:g} m" for metres, point in sorted(ranges.items())},
     }
-    there = figures["points"]
-    axes = {axis: {point: label for point, label in of.items() if point in there} for axis, of in axes.items()}
-    return {axis: labels for axis, labels in axes.items() if labels}
+    there = {axis: {p: label for p, label in of.items() if p in figures["points"]} for axis, of in axes.items()}
+    return {axis: labels for axis, labels in there.items() if labels}
 
 
 def figure(figures: Figures) -> Figure:
     """A row per axis: all policies with each estimator."""
     points = figures["points"]
-    policies = list(next(iter(points.values())))
-    rows = {
-        axis: {
-            title: Panel(list(labels.values()), {name: line(points, list(labels), name, key) for name in policies})
-            for key, title in ESTIMATORS.items()
-        }
-        for axis, labels in axes_of(figures).items()
-    }
+    rows: dict[str, dict[str, Panel]] = {}
+    for axis, labels in axes_of(figures).items():
+        for key, title in ESTIMATORS.items():
+            lines = {name: [points[p][name][key][METRIC] for p in labels] for name in next(iter(points.values()))}
+            rows.setdefault(axis, {})[title] = Panel(list(labels.values()), lines)
     return panel_rows(rows, "correct coverage over steps")
-
-
-def line(points: Figures, labels: Sequence[str], policy: str, estimator: str) -> list[Figures]:
-    """The estimates of a policy along an axis."""
-    return [points[point][policy][estimator][METRIC] for point in labels]

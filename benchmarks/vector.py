@@ -4,15 +4,13 @@ All kinds run in the same process in turns of a few seconds, with another kind f
 within a round, so that other load affects both. CPU time is that of all processes of a kind together. Memory (Pss) is
 that of a new process that drives only this kind, and of its workers, after an episode of each environment. `batch` has
 its default number of workers: one per core, two per core with goals. With `send, recv` the eight environments that are
-finished first get their next actions while the others are under way. `small` is `velocity` with an observation without
-the grid, 5 of 79 kB, and shows the cost of transport.
+finished first get their next actions while the others are under way.
 """
 
 from __future__ import annotations
 
 import multiprocessing
 import os
-import time
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
 from functools import partial
@@ -20,130 +18,39 @@ from typing import Any
 
 import gymnasium
 import numpy as np
-from gymnasium.vector import AsyncVectorEnv, SyncVectorEnv
-from gymnasium.wrappers import FilterObservation
+from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector.utils import batch_space
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, estimate, in_turns, is_installed
+from benchmarks.common import Figures, Options, estimate
 from benchmarks.process_use import memory_mb, processor_s
 from benchmarks.tables import sections, whole_rows
-from mecp_env.core.processes import cores
+from benchmarks.vector_step import NAME, SETTINGS, rates_in_turns, steps_per_s
 from mecp_env.vector import BatchEnv
 
-NAME, COUNT = "mecp_env/PaperMap-v0", 16
-SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}, "small": {"small": True}}
+COUNT = 16
 EPISODE = 300  # steps; a larger map costs more, and the single environment would otherwise have the largest
-HELD = 10  # steps for which a velocity is held
-SMALL = ("pose", "pose_cov", "landmarks", "goals")
-SINGLE, ASYNC, BATCH, SEND_RECV, SUBPROC = "single", "async", "batch", "batch, send, recv", "subproc"
-
-GATES = tuple(
-    Gate(f"velocity/{kind}/{ratio}", "share", 0.25)
-    for kind in (BATCH, SEND_RECV)
-    for ratio in ("over_single", "over_async")
-)
+MEMORY_S = 20.0  # an episode of each environment
+SINGLE, ASYNC = "single", "async"
 
 
-def run(options: Options) -> Figures:
-    """All results; 12 rounds of 3 s per kind and setting (--quick: 3 of 0.5 s)."""
-    rounds, seconds = (3, 0.5) if options.quick else (12, 3.0)
-    return {name: compare(setting, rounds, seconds) for name, setting in SETTINGS.items()}
-
-
-def compare(setting: dict[str, Any], rounds: int, seconds: float, kinds: tuple[str, ...] = ()) -> Figures:
-    """Results of each kind in a setting."""
-    names = list(kinds or (kind for kind in MAKERS if kind != SUBPROC or is_installed("stable_baselines3")))
-    memory = {name: memory_alone(name, setting, EPISODE) for name in names}
-    drivers = {name: Driver(name, setting) for name in names}
-    try:
-        for driver in drivers.values():
-            driver.measure(seconds)  # loads compiled functions and fills caches
-        measured = in_turns({name: partial(driver.measure, seconds) for name, driver in drivers.items()}, rounds)
-    finally:
-        for driver in drivers.values():
-            driver.close()
-    return {name: figures(name, measured, memory[name]) for name in names}
-
-
-def figures(name: str, measured: list[dict[str, tuple[float, float]]], memory_mb: float) -> Figures:
-    """Speed, ratios and cost of a kind over the rounds."""
-    rates = np.array([turn[name][0] for turn in measured])
-    return {
-        "periods_per_s": estimate(rates),
-        **{f"over_{other}": estimate(rates / [turn[other][0] for turn in measured]) for other in (SINGLE, ASYNC)},
-        "processor_us": estimate([turn[name][1] for turn in measured]),
-        "memory_mb": memory_mb,
-    }
-
-
-def memory_alone(kind: str, setting: dict[str, Any], steps: int) -> float:
-    """Memory (MB) of a kind after so many control steps of each environment, in a process that drives nothing else."""
-    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-        return process.submit(_memory_here, kind, setting, steps).result()
-
-
-def _memory_here(kind: str, setting: dict[str, Any], steps: int) -> float:
-    driver, driven = Driver(kind, setting), 0
-    while driven < steps * driver.count:
-        driven += driver.step()
-    used = memory_mb(driver.pids())
-    driver.close()
-    return used
-
-
-def make_env(setting: dict[str, Any]) -> gymnasium.Env[Any, Any]:
-    """One environment of a setting."""
-    keywords = {name: value for name, value in setting.items() if name != "small"}
-    env = gymnasium.make(NAME, disable_env_checker=True, max_steps=EPISODE, **keywords)
-    return FilterObservation(env, SMALL) if "small" in setting else env
-
-
-def make_subproc(makers: list[Callable[[], Any]]) -> Any:
-    """The class of Stable-Baselines3; forked where possible, because other workers would import PyTorch first."""
-    from stable_baselines3.common.vec_env import SubprocVecEnv
-
-    return SubprocVecEnv(makers, start_method="fork" if "fork" in multiprocessing.get_all_start_methods() else None)
-
-
-class Alone:
-    """A single environment, stepped directly, with rows of one for the driver."""
+class SendRecv(VectorEnv[Any, Any, Any]):
+    """A batch of which half are stepped at a time: a step sends the actions of those received, and receives others."""
 
     def __init__(self, makers: list[Callable[[], Any]]) -> None:
-        self.env = makers[0]()
+        self.num_envs, self.metadata = max(1, len(makers) // 2), {"autoreset_mode": AutoresetMode.SAME_STEP}
+        self.batch = BatchEnv(makers, batch_size=self.num_envs)
+        self.action_space, self.pids = batch_space(self.batch.single_action_space, self.num_envs), self.batch.pids
+        self.ids = None
 
-    def reset(self, seed: int | None = None) -> tuple[dict[str, Any], dict[str, Any]]:
-        """The first observation and info of an episode."""
-        observation, info = self.env.reset(seed=seed)
-        return {name: part[None] for name, part in observation.items()}, info
-
-    def step(self, actions: Any) -> tuple[Any, ...]:
-        """A step, and a new episode where one ends."""
-        observation, reward, terminated, truncated, info = self.env.step(actions[0])
-        rows = {name: part[None] for name, part in observation.items()}
-        if terminated or truncated:
-            rows, _ = self.reset()
-        return rows, [reward], [terminated], [truncated], (info,)
-
-    def close(self) -> None:
-        """Close the environment."""
-        self.env.close()
-
-
-class SendRecv:
-    """A batch whose actions and results are those of the environments that are finished first, half of them at a time.
-
-    An environment whose results were received is sent its next action; a step is one such exchange.
-    """
-
-    def __init__(self, makers: list[Callable[[], Any]]) -> None:
-        self.batch = BatchEnv(makers, batch_size=max(1, len(makers) // 2))
-
-    def reset(self, seed: int | None = None) -> tuple[Any, dict[str, Any]]:
-        """The first observations that are ready, and their infos."""
-        self.batch.async_reset(seed=seed)
-        observation, *_, infos = self.batch.recv()
-        self.ids = infos["env_id"]
-        return observation, infos
+    def reset(self, *, seed: Any = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """The first observations that are ready; those of an earlier drive go on."""
+        if self.ids is None:
+            self.batch.async_reset(seed=seed)
+            observation, *_, infos = self.batch.recv()
+            self.ids = infos["env_id"]
+            return observation, infos
+        return {}, {}
 
     def step(self, actions: Any) -> tuple[Any, ...]:
         """The results that are ready, after the actions for the last ones were sent."""
@@ -152,71 +59,73 @@ class SendRecv:
         self.ids = row[-1]["env_id"]
         return row
 
-    def close(self) -> None:
+    def close_extras(self, **_: Any) -> None:
         """Stop the workers."""
         self.batch.close()
 
 
-MAKERS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
-    SINGLE: Alone,
+KINDS: dict[str, Callable[[list[Callable[[], Any]]], Any]] = {
+    SINGLE: lambda makers: makers[0](),
     "sync": SyncVectorEnv,
     ASYNC: AsyncVectorEnv,
-    BATCH: BatchEnv,
-    SEND_RECV: SendRecv,
-    "batch, 4 a core": lambda makers: BatchEnv(makers, workers=4 * cores()),
-    SUBPROC: make_subproc,
+    "batch": BatchEnv,
+    "batch, send, recv": SendRecv,
 }
 
 
-class Driver:
-    """Environments of one kind and their random actions, the same for each kind."""
+def run(options: Options) -> Figures:
+    """All results; 12 rounds of 3 s per kind and setting (--quick: 3 of 0.5 s)."""
+    rounds, seconds = (3, 0.5) if options.quick else (12, 3.0)
+    return {name: compare(keywords, rounds, seconds) for name, keywords in SETTINGS.items()}
 
-    def __init__(self, kind: str, setting: dict[str, Any]) -> None:
-        self.venv = MAKERS[kind]([partial(make_env, setting)] * COUNT)
-        self.goals = setting.get("actions") == "goal"
-        self.rng = np.random.default_rng(0)
-        self.count = 1 if kind == SINGLE else COUNT
-        self.steps = 0  # of all environments together
-        if kind == SUBPROC:
-            self.venv.seed(0)
-            self.observation = self.venv.reset()
-        else:
-            self.observation = self.venv.reset(seed=0)[0]
 
-    def measure(self, seconds: float) -> tuple[float, float]:
-        """Control steps per second, and microseconds of CPU time per step, over at least this time."""
-        start, spent, steps = time.perf_counter(), processor_s(self.pids()), 0
-        while time.perf_counter() < start + seconds:
-            steps += self.step()
-        return steps / (time.perf_counter() - start), 1e6 * (processor_s(self.pids()) - spent) / steps
+def compare(keywords: dict[str, Any], rounds: int, seconds: float) -> Figures:
+    """Results of each kind in a setting."""
+    memory = {kind: memory_alone(kind, keywords) for kind in KINDS}
+    turns = rates_in_turns({kind: partial(make, kind, keywords) for kind in KINDS}, rounds, seconds, measure)
+    rates, us = (np.array([[turn[kind][k] for kind in KINDS] for turn in turns]).T for k in (0, 1))
+    of = dict(zip(KINDS, rates, strict=True))
+    return {
+        kind: {
+            "periods_per_s": estimate(rate),
+            **{f"over_{other}": estimate(rate / of[other]) for other in (SINGLE, ASYNC)},
+            "processor_us": estimate(spent),
+            "memory_mb": memory[kind],
+        }
+        for (kind, rate), spent in zip(of.items(), us, strict=True)
+    }
 
-    def step(self) -> int:
-        """One step of all environments: the total number of control steps."""
-        row = self.venv.step(self.choose())
-        self.observation, infos, self.steps = row[0], row[-1], self.steps + len(row[1])
-        if isinstance(infos, tuple):
-            return sum(info["periods"] for info in infos) if self.goals else len(infos)
-        return int(infos["periods"].sum() if self.goals else (infos["period"] > 0).sum())  # without resets
 
-    def choose(self) -> Any:
-        """A goal per observation, or velocities that are held for several steps."""
-        if self.goals:
-            masks = self.observation["goals"][:, :, 8] == 1.0
-            return np.array([self.rng.choice(np.flatnonzero(mask)) if mask.any() else 0 for mask in masks])
-        if self.steps % (HELD * self.count) == 0:
-            self.held = self.rng.uniform([0.3, -0.4], [1.0, 0.4], (self.count, 2)).astype(np.float32)
-        return self.held[getattr(self.venv, "ids", slice(None))]
+def make(kind: str, keywords: dict[str, Any]) -> Any:
+    """The environments of a kind."""
+    return KINDS[kind]([partial(gymnasium.make, NAME, disable_env_checker=True, max_steps=EPISODE, **keywords)] * COUNT)
 
-    def pids(self) -> list[int]:
-        """All running processes: this one and its workers."""
-        batch = getattr(self.venv, "batch", self.venv)
-        if isinstance(batch, BatchEnv):
-            return [os.getpid(), *batch.pids]
-        return [os.getpid(), *(process.pid for process in getattr(batch, "processes", ()))]
 
-    def close(self) -> None:
-        """Stop the workers."""
-        self.venv.close()
+def measure(env: Any, seconds: float) -> tuple[float, float]:
+    """Steps per second, and microseconds of CPU time per step."""
+    spent = processor_s(pids_of(env))
+    rate = steps_per_s(env, seconds)
+    return rate, 1e6 * (processor_s(pids_of(env)) - spent) / (rate * seconds)
+
+
+def pids_of(env: Any) -> list[int]:
+    """All running processes: this one and the workers of an environment."""
+    workers = [process.pid for process in getattr(env, "processes", ())]
+    return [os.getpid(), *workers, *getattr(env, "pids", ())]
+
+
+def memory_alone(kind: str, keywords: dict[str, Any], seconds: float = MEMORY_S) -> float:
+    """Memory (MB) of a kind that is driven for some time, in a process that drives nothing else."""
+    with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
+        return process.submit(_memory_here, kind, keywords, seconds).result()
+
+
+def _memory_here(kind: str, keywords: dict[str, Any], seconds: float) -> float:
+    env = make(kind, keywords)
+    steps_per_s(env, seconds)
+    used = memory_mb(pids_of(env))
+    env.close()
+    return used
 
 
 def report(figures: Figures) -> str:

@@ -7,7 +7,7 @@ so that other load affects both. A batch has its default workers.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import ExitStack, closing
 from functools import partial
 from typing import Any
@@ -17,7 +17,7 @@ import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Gate, Options, estimate, in_turns
+from benchmarks.common import Figures, Options, estimate, in_turns
 from benchmarks.tables import sections, whole_rows
 
 NAME = "mecp_env/PaperMap-v0"
@@ -25,9 +25,6 @@ COUNTS = (1, 2, 4, 16)
 SINGLE = "gymnasium.make"
 SETTINGS: dict[str, dict[str, Any]] = {"velocity": {}, "goal": {"actions": "goal"}}
 SEED = 0
-GATES = tuple(Gate(f"velocity/batch of {count}/over_single", "share", 0.25) for count in COUNTS)
-
-Measure = Callable[[], float]
 
 
 def run(options: Options) -> Figures:
@@ -38,20 +35,29 @@ def run(options: Options) -> Figures:
 
 def compare(keywords: dict[str, Any], rounds: int, seconds: float, counts: tuple[int, ...] = COUNTS) -> Figures:
     """Results of a single environment and of a batch of each count."""
+    makers = {f"batch of {count}": partial(gymnasium.make_vec, NAME, count, **keywords) for count in counts}
+    turns = rates_in_turns({SINGLE: partial(gymnasium.make, NAME, **keywords), **makers}, rounds, seconds)
+    rates = {name: np.array([turn[name] for turn in turns]) for name in turns[0]}
+    return {
+        name: {"steps_per_s": estimate(rate), "over_single": estimate(rate / rates[SINGLE])}
+        for name, rate in rates.items()
+    }
+
+
+def rates_in_turns(
+    makers: Mapping[str, Callable[[], Any]], rounds: int, seconds: float, measure: Callable[..., Any] | None = None
+) -> list[dict[str, Any]]:
+    """Steps per second of each kind in each round, or what else is measured of an environment."""
     with ExitStack() as opened:
-        single = opened.enter_context(closing(gymnasium.make(NAME, **keywords)))
-        kinds: dict[str, Measure] = {SINGLE: partial(benchmark_step, single, seconds, SEED)}  # type: ignore[arg-type]
-        for count in counts:
-            batch = opened.enter_context(closing(gymnasium.make_vec(NAME, count, **keywords)))
-            kinds[f"batch of {count}"] = partial(benchmark_vector_step, batch, seconds, SEED)  # type: ignore[arg-type]
-        measured = in_turns(kinds, rounds + 1)[1:]  # the first loads compiled functions
-    return {name: figures(name, measured) for name in kinds}
+        envs = {name: opened.enter_context(closing(make())) for name, make in makers.items()}
+        calls = {name: partial(measure or steps_per_s, env, seconds) for name, env in envs.items()}
+        return in_turns(calls, rounds + 1)[1:]  # the first loads compiled functions
 
 
-def figures(name: str, measured: list[dict[str, float]]) -> Figures:
-    """Speed of a kind, and its ratio to a single environment."""
-    rates = np.array([turn[name] for turn in measured])
-    return {"steps_per_s": estimate(rates), "over_single": estimate(rates / [turn[SINGLE] for turn in measured])}
+def steps_per_s(env: Any, seconds: float) -> float:
+    """Gymnasium's figure of an environment or batch."""
+    is_batch = isinstance(env, gymnasium.vector.VectorEnv)
+    return float((benchmark_vector_step if is_batch else benchmark_step)(env, seconds, SEED))
 
 
 def report(figures: Figures) -> str:

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.batch import Optimum, optimum
-from benchmarks.common import Figures, Gate, OptionError, Options, shared_data
-from benchmarks.errors import rms, sigma_ratio
+from benchmarks.common import Figures, OptionError, Options, shared_data
+from benchmarks.drives import rms, sigma_ratio
 from benchmarks.known_pairs import Motion, Record, Sighting, filtered, in_order
 from benchmarks.tables import table
 from mecp_env.core.carriers import Array
@@ -30,14 +30,6 @@ from mecp_env.slam.filters import Filter, make_filter
 
 FILE, QUICK_POSES = "victoria_park.npz", 1500
 SUBMAP = 20  # landmarks, so that the map is divided
-UPDATES = ("iterated", "once")
-
-GATES = (
-    Gate("filters/riekf/iterated/landmark_rms_m", "bound", 1.5),
-    Gate("filters/riekf/once/landmark_rms_m", "bound", 1.5),
-    Gate("filters/riekf/iterated/sigma_ratio", "bound", 1.1),
-    Gate("filters/fej/iterated/landmark_rms_m", "bound", 1.5),
-)
 
 
 def run(options: Options) -> Figures:
@@ -46,7 +38,9 @@ def run(options: Options) -> Figures:
     if folder is None or not (folder / FILE).is_file():
         raise OptionError(f"victoria_park: no {FILE} in shared/data/logs beside the repository")
     record = read(folder / FILE, QUICK_POSES if options.quick else None)
-    best = batch(record)
+    estimate = make_filter(FilterConfig(kind="riekf"))  # what it has is near the optimum
+    path, belief = path_of(record, estimate, "iterated"), estimate.belief()
+    best = optimum(record, path, belief.ids, belief.p_map)
     kinds = (*KINDS.ours, *KINDS.others)
     return {
         "batch": {"chi2": best.chi2, "freedom": best.freedom, "landmarks": len(best.ids)},
@@ -57,7 +51,7 @@ def run(options: Options) -> Figures:
 def read(path: Path, poses: int | None = None) -> Record:
     """The record, or its first poses."""
     with np.load(path, allow_pickle=False) as file:
-        arrays = {name: file[name] for name in file.files}
+        arrays = dict(file)
     motions = [motion_of(T, np.diag(arrays["odom_cov"] ** 2)) for T in arrays["odom"][: poses and poses - 1]]
     at = np.searchsorted(arrays["obs"][:, 0], np.arange(len(motions) + 2))
     sightings = [
@@ -75,32 +69,29 @@ def motion_of(T: Array, cov: Array) -> Motion:
     return Motion(Odometry(arcs, np.zeros((3, 2, 2)), False), T, cov, cov)
 
 
-def batch(record: Record) -> Optimum:
-    """The batch optimum, found from what `riekf` has."""
-    estimate = make_filter(FilterConfig(kind="riekf"))
-    path = np.array([belief.T_map_robot for belief in filtered(record, estimate, corrected)])
-    belief = estimate.belief()
-    return optimum(record, path, belief.ids, belief.p_map)
-
-
 def corrected(estimate: Filter, sighting: Sighting, odometry: Any = None) -> None:
     """Update, iterated where the estimator does."""
-    sharp = AssociationConfig().is_sharp(estimate.belief())
-    estimate.update(sighting.z, sighting.R, sighting.ids, iterate=not sharp)
+    estimate.update(*sighting, iterate=not AssociationConfig().is_sharp(estimate.belief()))
 
 
 def corrected_once(estimate: Filter, sighting: Sighting, odometry: Any = None) -> None:
     """Update with one linearisation."""
-    estimate.update(sighting.z, sighting.R, sighting.ids)
+    estimate.update(*sighting)
+
+
+UPDATES = {"iterated": corrected, "once": corrected_once}
+
+
+def path_of(record: Record, estimate: Filter, update: str) -> Array:
+    """(n,3) the pose of a filter after each step."""
+    return np.array([belief.T_map_robot for belief in filtered(record, estimate, UPDATES[update])])
 
 
 def against(record: Record, kind: str, update: str, best: Optimum) -> Figures:
     """A filter's landmarks and path compared with the batch optimum."""
-    estimate = make_filter(FilterConfig(kind=kind, submap=SUBMAP))
-    begun, correct = time.thread_time(), corrected if update == "iterated" else corrected_once
-    path = np.array([belief.T_map_robot for belief in filtered(record, estimate, correct)])
-    seconds = time.thread_time() - begun
-    p_map, covs = in_order(estimate)
+    estimate, begun = make_filter(FilterConfig(kind=kind, submap=SUBMAP)), time.thread_time()
+    path = path_of(record, estimate, update)
+    seconds, (p_map, covs) = time.thread_time() - begun, in_order(estimate)
     return {
         "landmark_rms_m": rms(p_map - best.p_map),
         "sigma_ratio": sigma_ratio(covs, best.covs),

@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 import mecp_env
-from benchmarks.common import Figures, Gate, Options, chosen, estimate, grouped, in_parallel, share, shared_data
+from benchmarks.common import Figures, Options, chosen, estimate, grouped, in_parallel, shared_data
 from benchmarks.drives import exploration
 from benchmarks.tables import of_visits, sections, turned
 from mecp_env.core.provenance import commit
@@ -35,43 +35,28 @@ from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
 PEOPLE = {"easy": 2, "medium": 4, "hard": 7, "huge": 8}  # of a preset; also the number of boxes with clutter
-CLOSED_DOORS = 0.15
-COUNTS = {"": 100, "_people": 100, "_clutter": 100}
-HUGE_COUNTS = {"": 30, "_people": 10, "_clutter": 10}
-QUICK = {"easy": 3, "easy_clutter": 2, "medium": 2, "medium_people": 2, "medium_clutter": 2}
-
-
-def further(preset: str) -> dict[str, dict[str, Any]]:
-    """The configuration that the settings of a preset add."""
-    n = PEOPLE[preset]
-    people = {"crowd": {"people": n}}
-    return {"": {}, "_people": people, "_clutter": {"clutter": {"movable_boxes": n, "closed_doors": CLOSED_DOORS}}}
-
-
 PLANS = "plans"  # the setting of the real floor plans
-SETTINGS: dict[str, tuple[str, dict[str, Any]]] = {  # preset and further configuration
-    **{preset + kind: (preset, added) for preset in PEOPLE for kind, added in further(preset).items()},
-    PLANS: (PLANS, {}),
-}
-BUILDINGS = {preset + kind: (HUGE_COUNTS if preset == "huge" else COUNTS)[kind] for preset in PEOPLE for kind in COUNTS}
+SETTINGS: dict[str, tuple[str, str, dict[str, Any]]] = {PLANS: (PLANS, "plans", {})}  # preset, title, configuration
+for _preset, _n in PEOPLE.items():
+    _boxes = {"clutter": {"movable_boxes": _n, "closed_doors": 0.15}}
+    SETTINGS[_preset] = _preset, "bare", {}
+    SETTINGS[f"{_preset}_people"] = _preset, f"{_n} people", {"crowd": {"people": _n}}
+    SETTINGS[f"{_preset}_clutter"] = _preset, f"{_n} boxes, 15% of doors closed", _boxes
+BUILDINGS = dict.fromkeys((name for name in SETTINGS if name != PLANS), 100)
+BUILDINGS |= {"huge": 30, "huge_people": 10, "huge_clutter": 10}
 SETS = (*BUILDINGS, PLANS)
+QUICK = {"easy": 3, "easy_clutter": 2, "medium": 2, "medium_people": 2, "medium_clutter": 2}
 PLAN_STARTS = 3
 MOST = 1000  # buildings of the test split
 PIXEL_M = 0.05  # of plans that are plain images
 MAX_STEPS = 10_000
 COMPLETE_COVERAGE = 0.95
 TOTALS = (
-    *("coverage", "rooms_left", "room_recall", "room_precision", "door_recall", "door_precision", "precision"),
-    *("recall", "map_rmse_m", "landmarks_false", "duplicates", "landmarks_on_movers", "pose_rmse_m", "nees"),
-    *("metres", "periods", "contacts_per_100_m", "grid_iou", "landmarks"),
+    *("seen", "complete", "stuck", "lost", "coverage", "rooms_left", "room_recall", "room_precision", "door_recall"),
+    *("door_precision", "precision", "recall", "map_rmse_m", "landmarks_false", "duplicates", "landmarks_on_movers"),
+    *("pose_rmse_m", "nees", "metres", "periods", "contacts_per_100_m", "grid_iou", "landmarks"),
 )
 KEPT = Path("runs/worlds")
-
-GATES = tuple(
-    Gate(f"{setting}/{figure}", "share", slack)
-    for setting in ("easy", "medium", "hard", "medium_people")
-    for figure, slack in (("complete", 0.05), ("precision", 0.003), ("recall", 0.01))
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,6 +78,12 @@ class Visit:
         if self.final["lost"]:
             return "lost"
         return "complete" if self.seen and found_all(self.final) else "stuck"
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """The figures of its end, and how it ended."""
+        ends = {name: float(self.outcome == name) for name in ("complete", "stuck", "lost")}
+        return self.final | ends | {"seen": self.seen, "early": self.terminated and not self.seen}
 
 
 def found_all(final: dict[str, float]) -> bool:
@@ -120,10 +111,8 @@ def plans_at_hand() -> list[Path]:
     """The real floor plans in `shared/data/plans` beside the repository, none elsewhere; images only without a yaml."""
     folder = shared_data("plans")
     files = sorted(folder.rglob("*.*")) if folder is not None else []
-    named = {file.with_suffix("") for file in files if file.suffix == ".yaml"}
-    return [
-        f for f in files if f.suffix in (".json", ".yaml") or (f.suffix == ".png" and f.with_suffix("") not in named)
-    ]
+    named = {file.with_suffix(".png") for file in files if file.suffix == ".yaml"}
+    return [file for file in files if file.suffix in (".json", ".yaml", ".png") and file not in named]
 
 
 def building(setting: str, index: int) -> Layout:
@@ -138,7 +127,7 @@ def visit(task: tuple[str, int]) -> Visit:
     """Explore one building, from a start given by its number."""
     setting, index = task
     layout = building(setting, index)
-    found, env = explored(layout, index, MAX_STEPS, **SETTINGS[setting][1])
+    found, env = explored(layout, index, MAX_STEPS, **SETTINGS[setting][2])
     if found.outcome != "complete":
         keep(layout, task, found, env)
     return found
@@ -149,8 +138,7 @@ def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -
     env = make(layout=layout, actions="goal", max_steps=max_steps, start="random", **keywords)
     assert isinstance(env, GoalActions)
     begun = time.thread_time()
-    for info, terminated in exploration(env, seed):  # noqa: B007
-        pass
+    *_, (info, terminated) = exploration(env, seed)
     speed = info["period"] / (time.thread_time() - begun)
     return Visit(env.get_wrapper_attr("summary")(), terminated, speed), env
 
@@ -171,16 +159,13 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
 
 def flags(setting: str) -> str:
     """The options of the demo that a setting adds."""
-    return "".join(f" --config.{field.replace('_', '-')}" for field in words_of(SETTINGS[setting][1]))
+    return "".join(f" --config.{field.replace('_', '-')}" for field in words_of(SETTINGS[setting][2]))
 
 
 def summarise(visits: list[Visit]) -> Figures:
     """Results of one preset, each with its 95 % interval."""
-    ends = {name: share(visit.outcome == name for visit in visits) for name in ("complete", "stuck", "lost")}
     return {
-        "seen": share(visit.seen for visit in visits),
-        **ends,
-        **of_visits([visit.final for visit in visits], TOTALS),
+        **of_visits([visit.figures for visit in visits], TOTALS),
         "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
         "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
     }
@@ -191,19 +176,5 @@ def report(figures: Figures) -> str:
     presets: dict[str, dict[str, Figures]] = {}
     for name, values in figures.items():
         presets.setdefault(SETTINGS[name][0], {})[name] = values
-    return sections(
-        {
-            preset: turned(settings, [f"{title(name)} ({of['complete']['n']})" for name, of in settings.items()])
-            for preset, settings in presets.items()
-        }
-    )
-
-
-def title(setting: str) -> str:
-    """The column heading of a setting."""
-    added = SETTINGS[setting][1]
-    if "crowd" in added:
-        return f"{added['crowd']['people']} people"
-    if "clutter" in added:
-        return f"{added['clutter']['movable_boxes']} boxes, {added['clutter']['closed_doors']:.0%} of doors closed"
-    return setting if setting == PLANS else "bare"
+    titles = {name: f"{SETTINGS[name][1]} ({of['complete']['n']})" for name, of in figures.items()}
+    return sections({preset: turned(of, [titles[name] for name in of]) for preset, of in presets.items()})

@@ -20,7 +20,7 @@ def test_a_claim_holds_where_its_whole_interval_says_so() -> None:
     for missing in ({}, {"part": {"figure": None}}, {"part": {"figure": dict.fromkeys(("value", "low", "high"))}}):
         assert claim.holds(missing) == "open"
     assert "**open**" in claims.report({})
-    found = recalls([[1, 1, 1, 2], [0, 0, 0, 0]])
+    found = recalls([[1, 2], [0, 0]])
     assert found[0] == 0.5
     assert np.isnan(found[1])  # of a pose without a visible corner
 

@@ -3,8 +3,6 @@
 import numpy as np
 
 from benchmarks.drives import RecordingEnv, replay
-from benchmarks.errors import mean_nees, seen_together
-from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam.drives import fed
 
@@ -23,19 +21,3 @@ def test_a_replay_is_the_run_again_to_the_bit() -> None:
     assert np.array_equal(output.belief.p_map, last.belief.p_map)
     assert np.array_equal(output.grid.label, last.grid.label)
     assert replay(drive, drive.slam).error_m[-1] < 0.05
-
-
-def test_nees_of_errors_drawn_from_their_covariance_is_two():
-    rng = np.random.default_rng(0)
-    factors = rng.normal(size=(2000, 2, 2))
-    errors = np.einsum("kij,kj->ki", factors, rng.normal(size=(2000, 2)))
-    assert abs(mean_nees(errors, factors @ factors.transpose(0, 2, 1)) - 2.0) < 0.15
-    assert np.isnan(mean_nees(errors[:0], factors[:0]))
-
-
-def test_landmarks_are_seen_together_when_one_scan_matches_both():
-    log = AssociationLog(3)
-    log.rows = np.array([(1, 0, 7, 1), (1, 1, 9, 1), (2, 1, 9, 1), (2, 2, 4, 1), (2, 0, 7, 0)])
-    log.used = len(log.rows)
-    a, b = seen_together(log, np.array([4, 7, 9]))
-    assert list(zip(a.tolist(), b.tolist(), strict=True)) == [(0, 2), (1, 2)]

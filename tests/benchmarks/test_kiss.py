@@ -1,7 +1,5 @@
 """KISS-Matcher as an associator, with the package and with a stand-in."""
 
-import dataclasses
-import importlib.util
 import sys
 from types import SimpleNamespace
 
@@ -9,15 +7,14 @@ import numpy as np
 import pytest
 
 from benchmarks import kiss, loop, rough_pose
-from benchmarks.common import Figures, OptionError
+from benchmarks.common import OptionError, is_installed
 from benchmarks.drives import Drive
 from benchmarks.variants import KISS
 from mecp_env.core.se2 import compose, inverse, to_map
 from tests.benchmarks.test_loop import drive, finished  # noqa: F401  (fixtures)
 
-needs_kiss = pytest.mark.skipif(importlib.util.find_spec(kiss.PACKAGE) is None, reason="extra `lab`")
 ON_PAIRS, ON_POINTS = KISS
-SIGMA = 0.3, 3.0
+ERRORS = np.random.default_rng(3).normal(size=(4, 3))
 
 
 def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True) -> list[np.ndarray]:
@@ -36,58 +33,44 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True)
     return given
 
 
-def count(drive: Drive, finished: rough_pose.Finished, name: str, seen: rough_pose.Look, errors: np.ndarray) -> Figures:  # noqa: F811
-    associator = KISS[name].associator(drive.slam)
-    return rough_pose.count_scans(finished, associator, [seen] * len(errors), SIGMA, errors)
-
-
-ERRORS = np.random.default_rng(3).normal(size=(4, 3))
-
-
-def test_pairs_are_those_that_fit_at_the_pose_found(
+def test_pairs_are_those_that_fit_at_the_pose_found_and_a_page_without_them_says_so(
     monkeypatch: pytest.MonkeyPatch,
     drive: Drive,  # noqa: F811
     finished: rough_pose.Finished,  # noqa: F811
 ) -> None:
-    seen = rough_pose.look(drive, finished, 100)
-    given = stand_in(monkeypatch, seen.T_map_robot)
-    counts = count(drive, finished, ON_PAIRS, seen, ERRORS)
+    def count(variant: str = ON_PAIRS, errors: np.ndarray = ERRORS, seen: rough_pose.Look | None = None) -> dict:
+        associator = loop.VARIANTS.get(variant, KISS[ON_PAIRS]).associator(drive.slam)
+        return rough_pose.count_scans(finished, associator, [seen or look] * len(errors), (0.3, 3.0), errors)
+
+    look = rough_pose.look(drive, finished, 100)
+    given = stand_in(monkeypatch, look.T_map_robot)
+    counts = count()
     assert (counts["right"], counts["wrong"]) == (4, 0)
     corners, landmarks = given
     assert corners.shape == landmarks.shape
     assert len(corners) >= counts["pairs"] / 4
     assert not corners[:, 2].any()
 
-    beside = compose(seen.T_map_robot, np.array([3 * kiss.VOXEL_M, 3 * kiss.VOXEL_M, 0.0]))
-    stand_in(monkeypatch, beside)
-    assert count(drive, finished, ON_PAIRS, seen, ERRORS)["right"] == 0
-    stand_in(monkeypatch, seen.T_map_robot, valid=False)
-    assert count(drive, finished, ON_PAIRS, seen, ERRORS)["pairs"] == 0
-
-    unasked = stand_in(monkeypatch, seen.T_map_robot)  # without two pairs to solve
-    far = dataclasses.replace(seen, T_map_robot=np.array([500.0, 500.0, 0.0]))
-    assert count(drive, finished, ON_PAIRS, far, np.zeros((1, 3)))["pairs"] == 0
+    stand_in(monkeypatch, compose(look.T_map_robot, np.array([3 * kiss.VOXEL_M, 3 * kiss.VOXEL_M, 0.0])))
+    assert count()["right"] == 0
+    stand_in(monkeypatch, look.T_map_robot, valid=False)
+    assert count()["pairs"] == 0
+    unasked = stand_in(monkeypatch, look.T_map_robot)  # without two pairs to solve
+    far = rough_pose.Look(look.corners, look.polygons, look.true, np.array([500.0, 500.0, 0.0]))
+    assert count(errors=np.zeros((1, 3)), seen=far)["pairs"] == 0
     assert not unasked
 
-
-def test_a_missing_package_is_named_and_the_page_says_that_its_rows_are_missing(
-    monkeypatch: pytest.MonkeyPatch,
-    drive: Drive,  # noqa: F811
-    finished: rough_pose.Finished,  # noqa: F811
-) -> None:
     monkeypatch.setitem(sys.modules, kiss.PACKAGE, None)
     with pytest.raises(OptionError, match=r"pip install -e '.\[lab\]'"):
         KISS[ON_PAIRS].associator(drive.slam)
-    looks = [rough_pose.look(drive, finished, 100)] * len(ERRORS)
-    cell = rough_pose.count_scans(finished, loop.VARIANTS["mecp"].associator(drive.slam), looks, SIGMA, ERRORS)
+    cell = count("mecp")
     without, with_rows = {"mecp": {"s": cell}}, {name: {"s": cell} for name in ("mecp", *KISS)}
-    note = "its rows are missing"
-    assert note in loop.report({"paper": loop.summarise([without])})
-    assert note not in loop.report({"paper": loop.summarise([with_rows])})
+    assert "its rows are missing" in loop.report({"paper": loop.summarise([without])})
+    assert "its rows are missing" not in loop.report({"paper": loop.summarise([with_rows])})
     assert set(loop.summarise([with_rows, without])) == {"mecp"}
 
 
-@needs_kiss
+@pytest.mark.skipif(not is_installed(kiss.PACKAGE), reason="extra `lab`")
 def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: rough_pose.Finished) -> None:  # noqa: F811
     seen, T = rough_pose.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
     associator = KISS[ON_POINTS].associator(drive.slam)

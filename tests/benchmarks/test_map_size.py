@@ -49,7 +49,11 @@ def test_every_part_gives_a_time_per_scan_of_a_drive_with_enough_landmarks(drive
     short = Drive(drive.truth, drive.slam, drive.odometry[:3], drive.scans[:3], drive.T_world_robot[:3])
     with pytest.raises(ValueError, match="landmarks, 25 expected"):
         map_size.enlarged(short, drive.slam, 50)
-    for part, name in (("filters", "ekf"), ("associators", "mecp"), ("associators", "jcbb")):
-        ms = map_size.TIMED[part](drive, name, 50)
+    for timed, name in (
+        (map_size.step_ms, "ekf"),
+        (map_size.association_ms, "mecp"),
+        (map_size.association_ms, "jcbb"),
+    ):
+        ms = timed(drive, name, 50)
         assert len(ms) == map_size.SCANS
         assert min(ms) > 0.0

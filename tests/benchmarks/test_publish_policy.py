@@ -6,7 +6,6 @@ pytest.importorskip("sb3_contrib")
 pytest.importorskip("safetensors")
 
 from benchmarks import publish_policy
-from benchmarks.publish_policy import read_run
 from mecp_env.cli.base import run_command
 from mecp_env.learning.encoder import make_network
 from mecp_env.learning.learned import load, save_policy, write_json
@@ -36,29 +35,22 @@ def shipped(weights):
     return {path.name: path.read_bytes() for path in (weights / "maskable_ppo").iterdir()}
 
 
-def test_the_policy_of_the_best_run_is_shipped_with_its_curve(tmp_path):
-    runs = (make_run(tmp_path / "a", [0.5, 0.8]), make_run(tmp_path / "b", [0.5, 0.6, 0.7], width=24))
-    assert main(runs[1:], tmp_path / "weights") == 0
-    assert main(runs, tmp_path / "weights") == 0  # the one before goes, with its table
-    found = shipped(tmp_path / "weights")
-    assert found["progress.csv"] == b"a\n"
-    assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
-    assert load(tmp_path / "weights" / "maskable_ppo").config == load(runs[0]).config
-    assert len(found["curve.png"]) > 1000
-
-
-def test_runs_in_a_task_are_compared_by_correct_coverage(tmp_path):
-    runs = (make_run(tmp_path / "a", [0.5, 0.4]), make_run(tmp_path / "b", [0.5, 0.8]))
-    for run, best in zip(runs, (0.7, 0.6), strict=True):
-        config = json.loads((run / "config.json").read_text())
-        write_json(run / "config.json", config | {"task": "ActiveHalls-v0"})
+@pytest.mark.parametrize("task", ["", "ActiveHalls-v0"])
+def test_the_policy_of_the_best_run_is_shipped_with_its_curve(task, tmp_path):
+    """The best by correct coverage in a task, else by the area."""
+    runs = (make_run(tmp_path / "a", [0.5, 0.8]), make_run(tmp_path / "b", [0.5, 0.6], width=24))
+    for run, correct in zip(runs, (0.6, 0.7), strict=True):
+        write_json(run / "config.json", json.loads((run / "config.json").read_text()) | {"task": task})
         rows = (run / "evaluation.csv").read_text().splitlines()
-        lines = [f"{rows[0]},correct_over_steps", *(f"{row},{best}" for row in rows[1:])]
+        lines = [f"{rows[0]},correct_over_steps", *(f"{row},{correct}" for row in rows[1:])]
         (run / "evaluation.csv").write_text("\n".join(lines) + "\n")
-    assert main(runs, tmp_path / "weights") == 0
-    assert read_run(runs[0]).area.tolist() == [0.7, 0.7]
-    assert (tmp_path / "weights" / "maskable_ppo" / "curve.png").stat().st_size > 1000
-    assert main((runs[0], make_run(tmp_path / "c", [0.5])), tmp_path / "weights") == 2
+    assert main(runs[:1], tmp_path / "weights") == 0
+    assert main(runs, tmp_path / "weights") == 0  # the one before goes, with its table
+    best, found = runs[bool(task)], shipped(tmp_path / "weights")
+    assert found["progress.csv"] == f"{best.name}\n".encode()
+    assert found.keys() == {*FILES, json.loads(found["policy.json"])["file"], "curve.png"}
+    assert load(tmp_path / "weights" / "maskable_ppo").config == load(best).config
+    assert len(found["curve.png"]) > 1000
 
 
 def test_wrong_input_is_refused(tmp_path, capsys):

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from benchmarks import policy_runs, returns
+from benchmarks import returns, uncertainty
 from benchmarks.common import Options
 from benchmarks.returns import ACTING, CORRECT, COVERAGE, SETTINGS
 from mecp_env.episode.tasks import TASKS
@@ -26,7 +26,7 @@ def toy(paid: dict[str, float]) -> Any:
 
 
 def run(monkeypatch: pytest.MonkeyPatch, folder: Path, paid: dict[str, float], **fields: Any) -> dict[str, Any]:
-    monkeypatch.setattr(policy_runs, "run_episode", toy(paid))
+    monkeypatch.setattr(uncertainty, "run_episode", toy(paid))
     return returns.run(Options(buildings=4, policies=tuple(METRIC), sets=("First",), folder=folder, **fields))
 
 

@@ -6,7 +6,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks import __main__ as command
 from benchmarks import common, process_use, soak
 
 
@@ -52,16 +51,6 @@ def test_a_short_run_of_each_kind(monkeypatch: pytest.MonkeyPatch, tmp_path: Pat
         assert values["memory_mb"] > 10.0
         assert values["wrong_observations"] == values["left_behind"] == values["more_files"] == 0
     assert soak.run(options) == figures  # both are kept
-
-
-def test_the_command_fails_where_a_bound_is_exceeded(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
-) -> None:
-    monkeypatch.setattr(common, "UNITS", tmp_path)
-    monkeypatch.setattr(common, "calibration_ms", lambda: 5.0)
-    monkeypatch.setattr(soak, "run", lambda options: {"single": soak.summarise(watched(wrong=3))})
-    assert command.main(["soak", "--quick"]) == 1
-    assert capsys.readouterr().err == "failed: single: wrong_observations 3, at most 0\n"
 
 
 def test_what_is_opened_is_counted(tmp_path: Path) -> None:

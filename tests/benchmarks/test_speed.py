@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks import crowd_speed, polygon_speed, speed
-from benchmarks.tables import flatten
+from benchmarks.in_tree import BEAMS
 from mecp_env.cli.stopwatch import STAGE_NAMES, STAGES, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.layout import load_layout
@@ -18,7 +18,7 @@ def test_the_three_ways_to_cast_rays_agree() -> None:
     for seed in range(5):
         pose = random_free_pose(outline, np.random.default_rng(seed), 0.3)
         exact = speed.brute_force(outline.segments, pose)
-        assert cast_rays(outline.segments, pose, speed.BEAMS) == pytest.approx(exact, abs=1e-6)
+        assert cast_rays(outline.segments, pose, BEAMS) == pytest.approx(exact, abs=1e-6)
         assert speed.query_pymunk(space, pose) == pytest.approx(exact, abs=1e-6)
 
 
@@ -38,13 +38,16 @@ def test_the_stopwatch_times_every_stage_and_leaves_no_trace() -> None:
     assert [getattr(owner, name) for _, owner, name in STAGES] == plain
 
 
-def test_gates_name_figures_that_are_measured(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_the_parts_have_a_page(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(crowd_speed, "RANDOM_STEPS", 5)
     monkeypatch.setattr(crowd_speed, "MAX_STEPS", 5)
     crowd = crowd_speed.measure(1)
     assert len(build_outline(crowd_speed.building(1)).segments) >= crowd_speed.LEAST_FACES
     assert all(settings["paper"]["ratio"]["value"] == 1.0 for settings in crowd.values())
-    polygons, rays = polygon_speed.measure(1), speed.rays(2)
-    env = {f"K={k}": {kind: {"steps_per_s": 1.0} for kind in ("random", "bfs")} for k in speed.SWEEPS}
-    measured = flatten({"env": env, "crowd": crowd, "rays": rays, "polygon": polygons})
-    assert {gate.path for gate in speed.GATES} <= measured.keys()
+    timed = {"steps_per_s": 1.0, "with_driver_per_s": 1.0, "us": {"step": 1.0}}
+    figures = {"env": {"K=1": {"random": timed, "bfs": timed}}, "peers": {}, "crowd": crowd}
+    figures |= {"rays": speed.rays(2), "polygon": polygon_speed.measure(1)}
+    page = speed.report(figures)
+    assert "| K=1, bfs | 1 | 1 |" in page
+    assert "| bfs, 200 walls, 8 people |" in page
+    assert "| n=40 |" in page

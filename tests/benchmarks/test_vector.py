@@ -1,48 +1,31 @@
-"""The parts of the vector benchmark measure what their names state."""
+"""The vector benchmarks measure what their names state."""
 
 import pytest
 
-from benchmarks import vector
-from benchmarks.tables import flatten
+from benchmarks import vector, vector_step
 
 
-@pytest.mark.parametrize("setting", vector.SETTINGS)
-def test_every_kind_is_driven_the_same_way(setting: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vector, "COUNT", 2)
-    drivers = [vector.Driver(kind, vector.SETTINGS[setting]) for kind in ("sync", "batch")]
-    for _ in range(3):
-        assert drivers[0].step() == drivers[1].step() >= 2
-        assert all((drivers[0].observation[key] == drivers[1].observation[key]).all() for key in vector.SMALL)
-    assert ("grid" in drivers[0].observation) == (setting != "small")
-    assert len(drivers[0].pids()) == 1
-    assert len(drivers[1].pids()) >= 2
-    for driver in drivers:
-        driver.close()
-
-
-def test_what_is_ready_is_driven_on_while_the_others_are_under_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(vector, "COUNT", 4)
-    driver = vector.Driver(vector.SEND_RECV, vector.SETTINGS["velocity"])
-    assert sum(driver.step() for _ in range(6)) in range(10, 13)  # twelve rows, of which at most two are resets
-    assert len(driver.observation["pose"]) == 2
-    assert len(driver.pids()) >= 2
-    driver.close()
-
-
-def test_the_figures_have_ratios_within_a_round_and_the_gates_name_them(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_every_kind_has_ratios_within_a_round_and_its_cost(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(vector, "COUNT", 2)
     monkeypatch.setattr(vector, "memory_alone", lambda *_: 100.0)
-    own = vector.SINGLE, vector.ASYNC, vector.BATCH, vector.SEND_RECV
-    kinds = vector.compare(vector.SETTINGS["velocity"], 2, 0.05, own)
+    kinds = vector.compare({"laser": {"beams": 90}}, 2, 0.05)
+    assert list(kinds) == list(vector.KINDS)
     assert kinds["single"]["over_single"]["value"] == 1.0
     assert kinds["batch"]["over_async"]["n"] == 2
-    assert kinds["batch"]["processor_us"]["value"] > 0.0
-    assert {gate.path for gate in vector.GATES} <= flatten({"velocity": kinds}).keys()
-    assert "| batch |" in vector.report({"velocity": kinds})
+    assert min(kind["processor_us"]["value"] for kind in kinds.values()) > 0.0
+    assert "| batch, send, recv |" in vector.report({"velocity": kinds})
 
 
 @pytest.mark.slow
 def test_memory_is_that_of_a_process_that_drives_one_kind_only() -> None:
     grown = b"x" * 300_000_000
-    assert 150.0 < vector.memory_alone(vector.BATCH, vector.SETTINGS["velocity"], 2) < 300.0
+    assert 150.0 < vector.memory_alone("batch", {}, 0.1) < 300.0
     assert len(grown) == 300_000_000
+
+
+def test_every_count_has_gymnasiums_figure_and_its_ratio() -> None:
+    kinds = vector_step.compare({"laser": {"beams": 90}}, 2, 0.05, (1, 3))
+    assert kinds[vector_step.SINGLE]["over_single"]["value"] == 1.0
+    assert kinds["batch of 3"]["steps_per_s"]["n"] == 2
+    assert kinds["batch of 3"]["steps_per_s"]["value"] > kinds["batch of 3"]["over_single"]["value"] > 0.0
+    assert "| batch of 3 |" in vector_step.report({"velocity": kinds})
