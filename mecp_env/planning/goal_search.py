@@ -12,12 +12,15 @@ from numpy.typing import NDArray
 
 from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints
+from mecp_env.core.grid_paths import wall_on_path
 from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.slam.messages import Belief, MapPolygon, SemanticGrid
 
 Rooms = NDArray[np.int16]
 Layer = tuple[Bools, Array, float]
+Floor = tuple[Bytes, Array, float]  # labels (H,W), origin and resolution of the grid
 
 UNKNOWN, FREE, OCCUPIED = 0, 1, 2  # as in mecp_env.slam.messages.Cell
 BLOCK = 256  # cells that are looked at together
@@ -264,6 +267,29 @@ def far_apart(places: Array, apart: float) -> Ints:
             taken[n] = i
             n += 1
     return taken[:n].copy()
+
+
+@compiled
+def looked_at(
+    places: Array, rooms: Ints, scans: tuple[Array, Ints], near: float, field: tuple[float, float], floor: Floor
+) -> Bools:
+    """(g,) whether a scan was taken within `near` m of each place (g,2), in its room or without a wall between.
+
+    `rooms` (g,); `scans`: poses (n,3) and rooms (n,); `field`: the middle of what they see, from the heading of the
+    robot on, and the half of it, rad: what lies behind a laser that does not see all around was not looked at.
+    """
+    T_map_scans, scan_rooms = scans
+    seen, leg, (label, origin, resolution) = np.zeros(places.shape[0], np.bool_), np.empty((2, 2)), floor
+    for i in range(places.shape[0]):
+        for k in range(T_map_scans.shape[0]):
+            dx, dy = places[i, 0] - T_map_scans[k, 0], places[i, 1] - T_map_scans[k, 1]
+            if seen[i] or not dx * dx + dy * dy <= near * near:
+                continue
+            aside = abs(wrap_angle(math.atan2(dy, dx) - T_map_scans[k, 2] - field[0]))
+            leg[0], leg[1] = T_map_scans[k, :2], places[i]
+            open_to = scan_rooms[k] == rooms[i] or not wall_on_path(label, leg, origin, resolution, 0.5 * resolution)
+            seen[i] = aside <= field[1] and open_to
+    return seen
 
 
 def before_wall(label: Bytes, origin: Array, resolution: float, edges: Array, depth: float) -> Bools:

@@ -78,7 +78,7 @@ SHAPES: Shapes = {
     "PaintedPolygon": {"ring": f"k 2 in {NEAR}"},
     "DoorLayer": {"quads": "n 4 2", "lines": "c 2 2"},
     "GridPainter": {"p_landmark": "n 2"},
-    "SlamOutput": {"T_robot_laser": f"3 in {NEAR}"},
+    "SlamOutput": {"T_robot_laser": f"3 in {NEAR}", "T_map_scans": f"k 3 in {NEAR}", "scan_rooms": "k"},
     "MergedScan": dict.fromkeys(("ranges", "bearings", "hit", "count"), "b")
     | dict.fromkeys(("raw_ranges", "raw_bearings"), "r"),
     "Segments": {"points": "s 2 2", "line": "s 2", "cov": "s 2 2"} | dict.fromkeys(("cluster", "first", "last"), "s"),
@@ -176,7 +176,7 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
         raise StateError(f"{where}.state: not finite, or too far away")
 
 
-FILE = FileKind("mecp_env map", 10, __version__)
+FILE = FileKind("mecp_env map", 11, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")

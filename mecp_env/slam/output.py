@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, carrier
+from mecp_env.core.carriers import Array, Ints, carrier
 from mecp_env.core.se2 import compose
 from mecp_env.slam.messages import (
     NO_ID,
@@ -46,6 +46,10 @@ class SlamOutput:
     localised: bool = True  # False while the pose is searched for, and nothing is mapped
     panorama: Corners | None = None  # corners of this scan and of recent ones, where those complete it
     unsure_from: int = NO_ID  # features from this id on were mapped after the pose was lost, and are not yet sure
+    T_map_scans: Array = field(default_factory=lambda: np.empty((0, 3)))
+    """(n,3) poses of the robot at the key scans that `grid` is painted from."""
+    scan_rooms: Ints = field(default_factory=lambda: np.empty(0, np.int64))
+    """(n,) the rooms where these were taken, UNKNOWN_ROOM for a doorway."""
 
     @property
     def polygon_corners(self) -> Corners:

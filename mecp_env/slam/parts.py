@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
@@ -65,9 +64,7 @@ class SlamParts:
         self.dynamic_objects = make_dynamic_objects(config.dynamic_objects, config.sensor)
         self.grid = GridPainter(config.grid)
         self.recent = RecentScans(config)
-        self.guard = PoseGuard(
-            config.localisation, config.grid.paint_range_m, math.radians(config.association.descriptor_deg)
-        )
+        self.guard = PoseGuard(config.localisation, config.grid.paint_range_m, config.association)
         self.guard.certain = self.associator.certain
         self.step_count = 0
 

@@ -74,7 +74,7 @@ class SlamPipeline(SlamParts):
             *(robot_belief(belief, self.config.sensor), graph, tuple(self.map.polygons.polygons)),
             *(self.grid.canvas.grid, self.divergence.found, self.config.sensor.T_robot_laser),
             *(self.guard.confidence(belief), self.guard.localised, around.shown),
-            unsure_from=self.guard.settle(match),
+            *(self.guard.settle(match), self.grid.scans.T_map_robot, self.grid.scans.room),
         )
 
     def _with_linearisation(self, corners: Corners, predicted: Belief) -> Corners:

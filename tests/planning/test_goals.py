@@ -1,5 +1,6 @@
 """Goals: kinds, order, closing and giving up."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -8,12 +9,13 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, far_apart, near_lines
+from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, far_apart, looked_at, near_lines
 from mecp_env.planning.goal_sources import (
     GoalContext,
     barriers,
     candidate_goals,
     door_goals,
+    find_everything,
     floor_goals,
     gap_goals,
     open_goals,
@@ -32,7 +34,7 @@ from mecp_env.planning.goals import (
     with_gaps,
 )
 from mecp_env.planning.navigator import Target, settled
-from mecp_env.slam.messages import EdgeLabel
+from mecp_env.slam.messages import Cell, EdgeLabel
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make
 from tests.toy import Toy, layer_at
@@ -93,6 +95,38 @@ def test_an_open_edge_has_a_goal_beyond_its_middle_until_a_polygon_closes_it(toy
     output = toy.output()
     assert len(from_source(open_goals, output)) == 0
     assert settled(target, output, CONFIG.goals)
+
+
+def test_places_are_looked_at_from_near_where_no_wall_is_between_and_the_laser_sees() -> None:
+    label = np.full((40, 40), Cell.FREE, np.uint8)
+    label[:, 20] = Cell.OCCUPIED
+    floor, scans = (label, np.array([-1.0, 0.0]), 0.1), np.array([[0.5, 1.0, 2.0], [-0.8, 3.0, 0.0]])
+    places = np.array([[0.9, 1.0], [1.4, 1.0], [-0.6, 1.0], [0.2, 1.3], [-0.8, 3.0]])  # the second behind the wall
+
+    def seen(*field: float, room: int = 0, scans: np.ndarray = scans) -> list[bool]:
+        rooms = np.full(5, 1), np.full(len(scans), room)
+        return looked_at(places, rooms[0], (scans, rooms[1]), 1.0, field, floor).tolist()  # type: ignore[arg-type]
+
+    assert seen(0.0, math.pi) == [True, False, False, True, True]
+    assert seen(0.0, math.pi, room=1) == [True, True, False, True, True]  # a goal in the wall of its room
+    assert seen(0.0, 0.5 * math.pi) == [False, False, False, True, True]
+    assert seen(-2.0, 0.5 * math.pi) == [True, False, False, False, False]
+    assert seen(0.0, math.pi, scans=np.empty((0, 3))) == [False] * 5
+
+
+def test_where_the_robot_has_been_no_open_edge_is_a_goal(toy: Toy) -> None:
+    half_a_room(toy)
+    output, limits = toy.output(), CONFIG.goals
+
+    def kinds(*T_map_scans: np.ndarray) -> list[int]:
+        seen = replace(output, T_map_scans=np.reshape(T_map_scans, (-1, 3)), scan_rooms=np.zeros(len(T_map_scans), int))
+        return [goal.kind for goal in find_everything(GoalContext.of(seen), {}, limits)]
+
+    (there,) = from_source(open_goals, output).p_map
+    near, far = (np.array([there[0] + m * limits.seen_m, there[1], 0.0]) for m in (0.9, 1.1))
+    assert GoalKind.OPEN in kinds()
+    assert GoalKind.OPEN in kinds(far)
+    assert kinds(far, near) == [kind for kind in kinds() if kind != GoalKind.OPEN]  # all else stays
 
 
 def test_near_open_edges_are_one_goal(toy: Toy) -> None:

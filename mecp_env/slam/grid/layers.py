@@ -81,7 +81,7 @@ class ScanLayer:
         lost = (self.anchor[:, :1] != NO_ID).any(axis=1) & (present == 0)
         for row in np.flatnonzero(moved | lost).tolist():
             self._vote(canvas, row, -1)
-        self.T_map_robot[moved] = poses[moved]
+        self.T_map_robot = np.where(moved[:, None], poses, self.T_map_robot)  # a new one: outputs hold the old
         for row in np.flatnonzero(moved & ~lost).tolist():
             self._vote(canvas, row, 1)
         self.has_room &= ~moved
@@ -99,7 +99,7 @@ class ScanLayer:
         """Give the scans that were taken in rooms entered unnoticed to those rooms, to be painted again."""
         for room, (taken_for, since) in parted.items():
             strays = (self.room == taken_for) & (self.step >= since)
-            self.room[strays], self.has_room[strays] = room, False
+            self.room, self.has_room = np.where(strays, room, self.room), self.has_room & ~strays
 
     def paint_rooms(self, canvas: Canvas, cuts: Array) -> None:
         """Write the room of the scans that have none on the canvas yet, as far as the lines `cuts` (d,2,2) let see."""

@@ -16,7 +16,7 @@ from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.core.sensors import Odometry
-from mecp_env.slam.config import LocalisationConfig
+from mecp_env.slam.config import AssociationConfig, LocalisationConfig
 from mecp_env.slam.localisation.relocalisation import NOWHERE, Hypothesis, LandmarkIndex, Located, clear_winner
 from mecp_env.slam.messages import (
     NO_ID,
@@ -184,7 +184,7 @@ class PoseGuard:
 
     config: LocalisationConfig
     reach_m: float  # of what is compared with the grid, and between two landmarks of a pair
-    descriptor_rad: float  # the most by which a face may turn
+    pairing: AssociationConfig
     localised: bool = True
     doubts: int = 0  # scans in a row that contradict the map, and those that were searched with since then
     astray: int = 0  # those of them, in a row, that do not agree with the scans before either
@@ -367,7 +367,7 @@ class PoseGuard:
         return off < 2.0 * self.config.inlier_m
 
     def _index(self, view: MapView) -> LandmarkIndex:
-        return LandmarkIndex(view, self.config, self.reach_m, self.descriptor_rad)
+        return LandmarkIndex(view, self.config, self.reach_m, self.pairing)
 
     def _weigh(self, share: float) -> None:
         """Bayes' rule: each scan adds its log-likelihood ratio."""

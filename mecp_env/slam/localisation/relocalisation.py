@@ -1,15 +1,17 @@
 """Where in the map a scan was taken, without any prior: hypotheses by polygon shape and by pairs of corners.
 
 Each hypothesis is a pose that puts some corners of the scan onto landmarks. It is judged by all corners: how many lie
-on a landmark with their descriptor. In an ambiguous place, where a pose elsewhere explains almost as many, none is
-accepted.
+on a landmark with their descriptor, and how well. In an ambiguous place, where a pose elsewhere explains almost as many
+almost as well, none is accepted.
 
 Which of the poses that a search has found is the right one, if that is clear.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from operator import attrgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -18,11 +20,12 @@ from scipy.spatial import KDTree
 
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import polar_to_points, wrapped
-from mecp_env.slam.config import LocalisationConfig
+from mecp_env.slam.config import AssociationConfig, LocalisationConfig
 from mecp_env.slam.messages import NO_IDS, Corners, MapView, Polygon
 
 Complexes = NDArray[np.complex128]
 OPEN_COV = np.diag([9.0, 9.0, 0.25])  # m^2, rad^2: next to no prior, the corners that are explained say the rest
+LEAST_COV = 1e-12 * np.eye(2)  # m^2: it has an inverse, whatever a filter says
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +33,7 @@ class Points:
     """Corners or landmarks with their descriptors, in the robot's or the map's frame."""
 
     p: Complexes  # (n,) m, x + iy
+    cov: Array  # (n,2,2) m^2
     convex: Bools  # (n,)
     normals: Array  # (n,2) rad, of the faces before and after; nan: unseen
 
@@ -42,6 +46,7 @@ class Located:
     cov: Array  # (3,3) m, rad, of what is known but for the corners
     corners: Ints  # (c,)
     ids: Ints  # (c,) their landmarks
+    misfit: float = 0.0  # corners that it leaves unexplained; one on its landmark counts by how far it is off
 
     def differs_from(self, other: Located) -> bool:
         """True unless the two have pairs in common and pair no corner with different landmarks."""
@@ -53,11 +58,12 @@ class Located:
 class LandmarkIndex:
     """The landmarks of a map, their polygons and all pairs of them, for searches without a prior."""
 
-    def __init__(self, view: MapView, config: LocalisationConfig, reach_m: float, descriptor_rad: float) -> None:
-        rows = view.features.rows[view.belief.ids]
-        self.config, self.tolerance = config, descriptor_rad
-        self.ids = view.belief.ids
-        self.landmarks = Points(as_complex(view.belief.p_map), rows["convex"] > 0, rows["normals"])
+    def __init__(self, view: MapView, config: LocalisationConfig, reach_m: float, pairing: AssociationConfig) -> None:
+        belief, rows = view.belief, view.features.rows[view.belief.ids]
+        self.config, self.tolerance = config, math.radians(pairing.descriptor_deg)
+        self.nis_of_one = max(pairing.rival_gap, 1e-9)  # a corner so far off its landmark is not explained
+        self.ids = belief.ids
+        self.landmarks = Points(as_complex(belief.p_map), belief.covs, rows["convex"] > 0, rows["normals"])
         self.tree = KDTree(view.belief.p_map.reshape(-1, 2))
         both = self.tree.query_pairs(reach_m, output_type="ndarray").astype(np.int64)
         pairs = np.concatenate((both, both[:, ::-1]))
@@ -69,27 +75,35 @@ class LandmarkIndex:
         }  # cardinality -> (C,k) rows of `ids`
 
     def locate(self, corners: Corners, polygons: tuple[Polygon, ...]) -> list[Located]:
-        """The poses that enough corners of a scan speak for, those with most first."""
+        """The poses that enough corners of a scan speak for, the likeliest first."""
         seen = points_of(corners)
         found = [self._by_polygon(seen.p[polygon.corners]) for polygon in polygons]
         poses, row = self._verified(
             seen, most_voted(np.concatenate([*found, self._by_pairs(seen)]))[: self.config.most_hypotheses]
         )
-        count = count_distinct(row)
-        best = np.argsort(-count, kind="stable")
-        best = best[count[best] >= self.config.least_corners - 1]
-        return [self._located(poses[h], row[h]) for h in best.tolist()]
+        enough = np.flatnonzero(count_distinct(row) >= self.config.least_corners - 1).tolist()
+        return sorted((self._located(seen, poses[h], row[h]) for h in enough), key=attrgetter("misfit"))
 
     def look_at(self, corners: Corners, T_map_robot: Array) -> Located:
         """What the map explains of a scan that was taken near this pose (3,)."""
-        poses, row = self._verified(points_of(corners), T_map_robot[None])
-        return self._located(poses[0], row[0])
+        seen = points_of(corners)
+        poses, row = self._verified(seen, T_map_robot[None])
+        return self._located(seen, poses[0], row[0])
 
-    def _located(self, pose: Array, row: Ints) -> Located:
+    def _located(self, seen: Points, pose: Array, row: Ints) -> Located:
         corners = np.flatnonzero(row >= 0)
         _, first = np.unique(row[corners], return_index=True)
         corners = corners[np.sort(first)]
-        return Located(pose, OPEN_COV, corners, self.ids[row[corners]])
+        misfit = len(seen.p) - len(corners) + self._off(seen, pose, corners, row[corners])
+        return Located(pose, OPEN_COV, corners, self.ids[row[corners]], misfit)
+
+    def _off(self, seen: Points, pose: Array, corners: Ints, row: Ints) -> float:
+        """How far the `corners` (c,) are off their landmarks: the sum of their NIS, as shares of `nis_of_one`."""
+        off = moved(pose[None], seen.p[corners])[0] - self.landmarks.p[row]
+        cov = turned(seen.cov[corners], pose[2]) + self.landmarks.cov[row] + LEAST_COV
+        nu = np.stack((off.real, off.imag), axis=-1)[..., None]
+        nis = (nu * np.linalg.solve(cov, nu)).sum(axis=(1, 2))
+        return float(np.minimum(nis / self.nis_of_one, 1.0).sum())
 
     def _by_polygon(self, ring: Complexes) -> Array:
         """Poses (h,3) that put the corners `ring` (k,) of a polygon onto a map polygon of the same shape."""
@@ -154,7 +168,17 @@ class LandmarkIndex:
 
 def points_of(corners: Corners) -> Points:
     """The corners of a scan, robot frame."""
-    return Points(as_complex(polar_to_points(corners.z)), corners.convex, corners.normals)
+    scale = np.stack((np.ones(len(corners)), corners.z[:, 0]), axis=1)  # along and across the ray
+    cov = turned(scale[:, :, None] * corners.R * scale[:, None, :], corners.z[:, 1])
+    return Points(as_complex(polar_to_points(corners.z)), cov, corners.convex, corners.normals)
+
+
+def turned(cov: Array, angle: Array | float) -> Array:
+    """Covariances (n,2,2) in a frame in which they are turned by an angle each (n,), or by one."""
+    c, s = np.cos(angle), np.sin(angle)
+    turn: Array = np.moveaxis(np.array(((c, -s), (s, c))), (0, 1), (-2, -1))
+    again: Array = turn @ cov @ turn.swapaxes(-1, -2)
+    return again
 
 
 def as_complex(points: Array) -> Complexes:
@@ -220,19 +244,24 @@ class Hypothesis(NamedTuple):
         return explains and not self.share < least
 
     def may_be(self, other: Hypothesis, margin: int) -> bool:
-        """True when the robot may as well be at the `other` pose."""
-        return len(other.at.corners) > len(self.at.corners) - margin or other.share > self.share
+        """True when the robot may as well be at the `other` pose: `margin` corners more would tell.
+
+        Those that lie off their landmarks there, all together, tell as well: in a room that looks the same turned
+        around, each does by some centimetres.
+        """
+        as_many = len(other.at.corners) > len(self.at.corners) - margin
+        return (as_many and other.at.misfit <= self.at.misfit + margin) or other.share > self.share
 
 
 NOWHERE = Hypothesis(Located(np.zeros(3), np.zeros((3, 3)), NO_IDS, NO_IDS), 0.0, -1.0, 0.0, near=False)
 
 
 def clear_winner(hypotheses: list[Hypothesis], config: LocalisationConfig) -> Hypothesis | None:
-    """The pose that most corners speak for, if it explains enough of the scan and no other pose may be the right one.
+    """The likeliest pose, if it explains enough of the scan and no other pose may be the right one.
 
-    Another may be that nearly as many corners speak for, or that agrees better with what is mapped there. A near pose
-    that explains the scan as well as any needs to fear other near ones only: odometry that fails is likelier than a
-    robot that is carried off, and a place that was seen just now has few landmarks yet.
+    Another may be that nearly as many corners fit nearly as well, or that agrees better with what is mapped there. A
+    near pose that explains the scan as well as any needs to fear other near ones only: odometry that fails is likelier
+    than a robot that is carried off, and a place that was seen just now has few landmarks yet.
     """
     best, *others = _candidates(hypotheses, config) or [NOWHERE]
     enough = len(best.at.corners) + best.near >= config.least_corners

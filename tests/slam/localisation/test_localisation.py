@@ -10,10 +10,17 @@ from scipy import ndimage
 
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.association import ignored
-from mecp_env.slam.config import FilterConfig, LocalisationConfig, SlamConfig
+from mecp_env.slam.config import AssociationConfig, FilterConfig, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.localisation import PoseGuard, agreement, count_ends
-from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winner, count_distinct, fit, moved
+from mecp_env.slam.localisation.relocalisation import (
+    Hypothesis,
+    LandmarkIndex,
+    clear_winner,
+    count_distinct,
+    fit,
+    moved,
+)
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
@@ -21,7 +28,7 @@ from tests.slam.drives import fed
 from tests.slam.make import evidence
 
 CONFIG = LocalisationConfig()
-REACH_M, TURN_RAD = 8.0, math.radians(40.0)
+REACH_M, PAIRING = 8.0, AssociationConfig()
 
 
 def in_map(drive, T_world_robot):
@@ -97,7 +104,7 @@ def test_fitted_poses_are_those_that_moved_the_points():
 def test_one_scan_is_located_anywhere_in_the_map(mapped):
     pipeline, output, drive = mapped
     view = pipeline.map.view(output.belief, output.graph, np.empty(0, np.int64), output.step)
-    index = LandmarkIndex(view, CONFIG, REACH_M, TURN_RAD)
+    index = LandmarkIndex(view, CONFIG, REACH_M, PAIRING)
     hits = 0
     for k, features in enumerate(fed(SlamPipeline(), drive)):
         if k % 10 == 0:
@@ -119,6 +126,48 @@ def test_a_pose_wins_only_where_no_other_explains_as_much():
     assert clear_winner([make.hypothesis(few, explained=1.0)], CONFIG) is None  # too few corners
     assert clear_winner([clear._replace(explained=0.5)], CONFIG) is None
     assert clear_winner([], CONFIG) is None
+
+
+def test_of_two_poses_with_as_many_corners_the_one_that_they_fit_wins():
+    right, twin = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([6, 5, 4, 3, 2, 1], (5.0, 0.0, 3.1))
+    worse = replace(twin.at, misfit=CONFIG.margin + 0.1)
+    assert clear_winner([right, twin._replace(at=worse)], CONFIG) is right
+    assert clear_winner([right, twin._replace(at=replace(worse, misfit=1.0))], CONFIG) is None
+    assert clear_winner([right._replace(share=0.9), twin._replace(at=worse)], CONFIG) is None  # more beams agree there
+
+
+@pytest.mark.parametrize(("differs_m", "found"), [(0.0, False), (0.005, False), (0.1, True)])
+def test_a_room_that_looks_the_same_turned_around_is_told_by_centimetres(differs_m: float, found: bool):
+    half = np.array([[2.0, 1.0], [1.0, 2.5], [-1.5, 2.0], [0.5, 3.2]])
+    p_map = np.concatenate([half, -half + differs_m * np.array([[1.0, 0.0], [-1.0, 0.0], [0.0, 1.0], [0.0, -1.0]])])
+    normals = np.repeat([[0.0, 1.5], [math.pi, 1.5 - math.pi]], 4, axis=0)
+    corners = make.corners(points=p_map, cov=1e-5, normals=normals)
+    view = make.view(
+        make.belief(p_map=p_map, covs=1e-5), make.features(8, convex=1, normals=normals), corners, make.graph()
+    )
+    poses = LandmarkIndex(view, CONFIG, REACH_M, PAIRING).locate(corners, ())
+    assert {round(abs(at.T_map_robot[2]), 1) for at in poses} == {0.0, 3.1}
+    assert poses[0].misfit == pytest.approx(0.0, abs=1e-6)
+    best = clear_winner([Hypothesis(at, 1.0, 1.0, 1.0, near=False) for at in poses], CONFIG)
+    assert (best is not None) == found
+    assert best is None or np.allclose(best.at.T_map_robot, 0.0, atol=1e-6)
+
+
+def test_what_a_pose_leaves_unexplained_is_counted_in_corners():
+    p_map, cov, covs = np.array([[3.0, 1.0], [1.0, 4.0], [-2.0, 3.0]]), 4e-4, 1e-4
+    seen = p_map + np.array([[0.02, 0.0], [0.0, 0.03], [0.0, 0.14]])
+    corners = make.corners(points=[*seen, [-3.0, -3.0]], cov=cov)
+    view = make.view(make.belief(p_map=p_map, covs=covs), make.features(3, convex=1), corners, make.graph())
+    at = LandmarkIndex(view, CONFIG, REACH_M, PAIRING).look_at(corners, np.zeros(3))
+    x, y, t = at.T_map_robot
+    turn, misfit = np.array([[math.cos(t), -math.sin(t)], [math.sin(t), math.cos(t)]]), 1.0  # no landmark near the last
+    for corner, row in zip(at.corners, at.ids, strict=True):
+        r, b = corners.z[corner]
+        J = np.array([[math.cos(b), -r * math.sin(b)], [math.sin(b), r * math.cos(b)]])
+        S = turn @ J @ (cov * np.eye(2)) @ J.T @ turn.T + covs * np.eye(2)
+        nu = np.array([x, y]) + turn @ (r * np.array([math.cos(b), math.sin(b)])) - p_map[row]
+        misfit += min(nu @ np.linalg.inv(S) @ nu / PAIRING.rival_gap, 1.0)
+    assert at.misfit == pytest.approx(misfit)
 
 
 def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_one():
@@ -168,7 +217,7 @@ def test_a_least_share_of_zero_turns_the_guard_off():
 
 
 def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
-    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
     guard.lose(anywhere=True)
     guard.trust()
     assert np.isfinite(guard.slack()).all()
@@ -179,7 +228,7 @@ def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
     [(3, False, 8), (4, False, 40), (7, False, 40), (8, False, math.inf), (3, True, math.inf)],
 )
 def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int, anywhere: bool, after: float):
-    guard, estimate = PoseGuard(CONFIG, REACH_M, TURN_RAD), filter_with(landmarks)
+    guard, estimate = PoseGuard(CONFIG, REACH_M, PAIRING), filter_with(landmarks)
     guard.lose(anywhere)
     ends = math.isfinite(after)
     resumed = [guard.resumes(estimate, landmarks) for _ in range(int(after) if ends else 200)]
@@ -190,7 +239,7 @@ def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int
 
 
 def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed():
-    guard, estimate = PoseGuard(CONFIG, REACH_M, TURN_RAD), filter_with(9)
+    guard, estimate = PoseGuard(CONFIG, REACH_M, PAIRING), filter_with(9)
     guard.lose()
     metre = make.odometry([1.0, 0.0], (0.01, 0.01))
 
@@ -221,7 +270,7 @@ def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_th
 @pytest.mark.parametrize(("share", "turned", "loosened"), [(0.65, 0.2, True), (0.65, 0.01, False), (0.0, 0.2, False)])
 def test_pairs_that_no_odometry_explains_loosen_the_prediction(share: float, turned: float, loosened: bool):
     config = CONFIG.model_copy(update={"explained_share": share})
-    guard, estimate = PoseGuard(config, REACH_M, TURN_RAD), make_filter(FilterConfig())
+    guard, estimate = PoseGuard(config, REACH_M, PAIRING), make_filter(FilterConfig())
     z, R = np.array([[2.0, 0.3], [2.5, -0.8], [1.5, 2.0]]), np.diag(np.tile([0.01**2, 0.004**2], 3))
     estimate.augment(z, R, np.arange(3))
     estimate.loosen(np.diag([0.003, 0.003, 0.002]) ** 2)
@@ -234,7 +283,7 @@ def test_pairs_that_no_odometry_explains_loosen_the_prediction(share: float, tur
 
 
 def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
-    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
     belief = mapped[1].belief
     assert guard.confidence(belief) > 0.99
     assert guard.trusts(evidence(1.0, 1.0))
@@ -251,11 +300,11 @@ def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
 def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
     """A map that is bent or a wall that was moved contradicts it; a track that began elsewhere is a carried robot's."""
     broken = evidence(0.3, 0.1, tracked=True)
-    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
     assert all(guard.trusts(broken._replace(vouched=True)) for _ in range(20))
     assert not guard.trusts(broken)
     assert not guard.localised
-    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
     assert not any(guard.trusts(broken) for _ in range(3))
     assert guard.localised
     assert not guard.trusts(broken)
@@ -264,7 +313,7 @@ def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
 
 def test_a_doubt_stays_until_something_speaks_for_the_pose():
     """Of two known corners beyond the mapped floor it is unknown where they were seen from."""
-    guard, silent = PoseGuard(CONFIG, REACH_M, TURN_RAD), evidence(math.nan, math.nan)
+    guard, silent = PoseGuard(CONFIG, REACH_M, PAIRING), evidence(math.nan, math.nan)
     assert guard.trusts(silent)
     assert not guard.trusts(evidence(0.3, 0.1))
     assert not any(guard.trusts(silent) for _ in range(10))
@@ -276,7 +325,7 @@ def test_a_doubt_stays_until_something_speaks_for_the_pose():
 
 
 def test_confidence_falls_with_the_covariance_of_the_position(mapped):
-    guard, belief = PoseGuard(CONFIG, REACH_M, TURN_RAD), mapped[1].belief
+    guard, belief = PoseGuard(CONFIG, REACH_M, PAIRING), mapped[1].belief
     before = guard.confidence(belief)
     assert guard.trusts(evidence(math.nan, 0.2))  # nothing is mapped there
     assert guard.confidence(belief) == before
