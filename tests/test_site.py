@@ -58,15 +58,6 @@ def test_the_film_of_a_task_shows_drives_and_its_page_leads_to_the_tasks(pages: 
     assert "(../tasks.md)" in pages.page(f"mecp_env/{name}")
 
 
-def test_pages_name_what_an_environment_sets_itself_and_fields_carry_their_comments(pages: Any) -> None:
-    range_m = TASKS["ActiveHalls-v0"]["laser"]["max_range_m"]
-    assert f"| `laser.max_range_m` | `{range_m}` |" in pages.page("mecp_env/ActiveHalls-v0")
-    assert "| `layout` | `'paper'` |" in pages.page("mecp_env/PaperMap-v0")
-    text = pages.configuration_page()
-    assert "| `laser.sweeps` | `4` |" in text
-    assert "| `odometry.distance_sigma_m` | `0.1` | per sqrt(m), per step, or per metre |" in text
-
-
 def described(name: str, item: Any) -> Iterator[tuple[str, Any]]:
     """A public name; of a class also its methods and properties."""
     if inspect.isclass(item) or inspect.isroutine(item):

@@ -60,14 +60,6 @@ def test_what_the_robot_sees_is_what_has_a_line_of_sight(truth):
         assert truth.sweep(pose, seen) == 0
 
 
-def test_free_area_and_rooms_of_the_raster_are_those_of_the_outline(truth):
-    assert truth.free_cells * CELL_M**2 == pytest.approx(truth.outline.free_area.area, rel=0.02)
-    for index, room in enumerate(truth.outline.rooms):
-        point = room.representative_point()
-        assert truth.room_at(np.array([point.x, point.y])) == index
-    assert truth.room_at(np.array([-50.0, 0.0])) == truth.room_at(np.array([500.0, 0.0])) == -1
-
-
 def test_with_half_a_view_only_what_is_ahead_is_seen(truth):
     half = GroundTruth(truth.outline, 30.0, LaserView(field_of_view_deg=180.0, x_m=0.1, heading_deg=90.0))
     pose = random_free_pose(truth.outline, np.random.default_rng(0), 0.3)
@@ -106,19 +98,7 @@ def identities(seen, true, segments, pose, gate):
     return metric_arrays.identify_corners(z, pose, true, segments, gate)
 
 
-def test_identities_of_exact_corners_are_their_own(truth):
-    pose = truth.outline.starts[0]
-    corners = truth.outline.corners.p_world
-    visible = line_of_sight(truth.outline.segments, pose[0], pose[1], corners)
-    args = (corners, truth.outline.segments, pose, 0.3)
-    seen = corners[visible] + 0.01
-    assert np.array_equal(identities(seen, *args), np.flatnonzero(visible))
-    assert (identities(seen + 5.0 * np.array([1.0, 0.3]), *args) >= 0).sum() <= 1
-    assert not (identities(corners[~visible], *args) == np.flatnonzero(~visible)).any()
-    assert identities(np.empty((0, 2)), *args).shape == (0,)
-
-
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(12))
 def test_pairs_are_nearest_first_and_one_to_one(seed):
     rng = np.random.default_rng(seed)
     seen, true = rng.random((int(rng.integers(1, 9)), 2)), rng.random((int(rng.integers(1, 9)), 2))
@@ -166,13 +146,6 @@ def test_identity_is_the_majority_not_the_birth_and_two_of_one_are_duplicates():
     assert log.final_counts().tolist() == [4, 0, 0, 1]
     log = recorded(3, ([0, 1, 2, 3], [2, 2, 2, 2], [0, 1, 2, 3], [0, 0, 1, -1]))
     assert [log.duplicates(np.array(ids, np.int64)) for ids in ([0, 1, 2, 3], [1, 2, 3], [])] == [1, 0, 0]
-
-
-def test_the_log_grows():
-    rng = np.random.default_rng(0)
-    drawn = [rng.integers(0, 300, 6) for _ in range(399)]
-    log = recorded(5, *((ids, [0] * 6, np.unique(ids), rng.integers(-1, 5, 6)) for ids in drawn))
-    assert log.counts.sum() == log.final_counts().sum() == 399 * 6
 
 
 def nees(error, cov):

@@ -46,13 +46,6 @@ class Shared(Ekf):
         return self
 
 
-class Other(Ekf):
-    def copy(self) -> Any:
-        plain = Ekf.__new__(Ekf)
-        plain.__dict__.update(super().copy().__dict__)
-        return plain
-
-
 class Shifted(Ekf):
     def individual_nis(self, z: Any, R: Any, ids: Any) -> Any:
         return 2.0 * super().individual_nis(z, R, ids) + 1.0
@@ -64,33 +57,17 @@ class Broken(Ekf):
         return type(found)(found.T_map_robot, -found.pose_cov, found.ids, found.p_map, found.covs)
 
 
-class Flat(Ekf):
-    def belief(self) -> Any:
-        found = super().belief()
-        return type(found)(found.T_map_robot, found.pose_cov, found.ids, found.p_map[:, 0], found.covs)
-
-
-class Keeping(Ekf):
-    def remove(self, ids: Any) -> None:
-        """Nothing is forgotten."""
-
-
-class Turned(Ekf):
-    def individual_nis(self, z: Any, R: Any, ids: Any) -> Any:
-        return super().individual_nis(z, R, ids).T
-
-
 class Backwards(Ekf):
     def belief(self) -> Any:
         found = super().belief()
         return type(found)(found.T_map_robot, found.pose_cov, found.ids[::-1].copy(), found.p_map, found.covs)
 
 
-MORE = {Other: "copy", Flat: "belief.p_map", Backwards: "belief", Turned: "individual_nis", Keeping: "remove"}
 WRONG = {Frozen: "update", Deaf: "update", Shared: "copy", Shifted: "individual_nis", Broken: "predict"}
+WRONG |= {Backwards: "belief"}
 
 
-@pytest.mark.parametrize(("mine", "method"), [*WRONG.items(), *MORE.items()])
+@pytest.mark.parametrize(("mine", "method"), WRONG.items())
 def test_what_is_wrong_with_a_filter_is_named(mine: Any, method: str) -> None:
     with pytest.raises(FilterError, match=f"^{method}: "):
         check_filter(mine)
@@ -120,10 +97,6 @@ def unknown(match: Any, view: Any, belief: Any) -> Any:
     return match.assign(0, 10_000, int(Decision.LANDMARK), 0)
 
 
-def short(match: Any, view: Any, belief: Any) -> Any:
-    return type(match)(match.ids[:-1], match.decision, match.reason, match.nis, -1, -1)
-
-
 def moving(match: Any, view: Any, belief: Any) -> Any:
     belief.set_pose(np.array([0.1, 0.0, 0.0]))
     return match
@@ -134,10 +107,6 @@ def farther(match: Any, view: Any, belief: Any) -> Any:
     return match
 
 
-def nothing_new(match: Any, view: Any, belief: Any) -> Any:
-    return match.assign(slice(None), -1, int(Decision.IGNORED), 0)
-
-
 def drawn(match: Any, view: Any, belief: Any, rng: Any = np.random.default_rng(0)) -> Any:  # noqa: B008
     found = match.recognised()
     return match.assign(found[rng.random(len(found)) < 0.5], -1, int(Decision.IGNORED), 0)
@@ -146,13 +115,12 @@ def drawn(match: Any, view: Any, belief: Any, rng: Any = np.random.default_rng(0
 SAID = {
     twice: "at most once",
     unknown: "10000",
-    short: "match.ids",
     moving: "changes the filter",
     farther: "that it is given",
 }
 
 
-@pytest.mark.parametrize(("spoil", "said"), [*SAID.items(), (nothing_new, "no landmark"), (drawn, "same scan")])
+@pytest.mark.parametrize(("spoil", "said"), [*SAID.items(), (drawn, "same scan")])
 def test_what_is_wrong_with_an_associator_is_named(spoil: Any, said: str) -> None:
     with pytest.raises(MatchError, match=said):
         check_associator(lambda config: Own(config, spoil))

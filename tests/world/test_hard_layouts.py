@@ -43,14 +43,9 @@ def test_layouts_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) ->
     [
         ("9,000 scattered walls", r"36014 faces, at most 20000 \(two for each point of a wall"),
         ("woven walls", r"walls: too many within 0 m of each other, at most 10000 pairs"),
-        ("pillars beyond number", r"320014 faces, at most 20000"),
         ("a comb", r"walls: faces: too many within 0\.44 m of each other, at most 100000 pairs"),
-        ("rooms around a point", r"rooms: too many within 0 m of each other, at most 10000 pairs"),
         ("rooms beyond number", r"layout\.rooms: .*at most 1000"),
-        ("too many corners of rooms", r"30010 faces, at most 20000"),
-        ("starts beyond number", r"layout\.starts: .*at most 1000"),
         ("doors beyond number", r"layout\.doors: .*at most 2000"),
-        ("nothing but wrong walls", r"walls\.1\.points: Field required"),
         ("names of unknown rooms", r"doors\.0\.rooms\.0: no room is called 'hal'; did you mean 'hall'\?"),
         ("a name of a megabyte", r"rooms\.0\.name: .*at most 80 characters"),
     ],
@@ -81,7 +76,7 @@ def scattered(count: int, length: float = 1.0) -> list[Document]:
     return [{"points": pair} for pair in np.stack([places, ends], axis=1)[far][:count].round(2).tolist()]
 
 
-def lattice(count: int, step: float, size: float = 0.3) -> list[tuple[float, float]]:
+def lattice(count: int, step: float) -> list[tuple[float, float]]:
     """Places in rows, none within 3 m of the start."""
     side = int(np.ceil(np.sqrt(count))) + 4
     places = [((i - side / 2) * step, (j - side / 2) * step) for i in range(side) for j in range(side)]
@@ -92,22 +87,6 @@ def weave(count: int) -> list[Document]:
     """So many walls along x and as many along y: every one crosses every other one."""
     at = np.linspace(-190.0, 190.0, count).round(3).tolist()
     return [{"points": p} for c in at for p in ([[-199.0, c], [199.0, c]], [[c, -199.0], [c, 199.0]])]
-
-
-def star_rooms(count: int) -> list[Document]:
-    """Triangles that all meet in the middle."""
-    angle = np.linspace(0.0, 2.0 * np.pi, count + 1)
-    edge = (100.0 * np.column_stack([np.cos(angle), np.sin(angle)])).round(3).tolist()
-    return [{"name": f"r{i}", "polygon": [[0.0, 0.0], edge[i], edge[i + 1]]} for i in range(count)]
-
-
-def round_rooms(count: int, points: int) -> list[Document]:
-    """Polygons of many points, side by side."""
-    angle = np.linspace(0.0, 2.0 * np.pi, points, endpoint=False)
-    ring = 2.0 * np.column_stack([np.cos(angle), np.sin(angle)])
-    return [
-        {"name": f"r{i}", "polygon": (ring + place).round(3).tolist()} for i, place in enumerate(lattice(count, 5.0))
-    ]
 
 
 def comb(teeth: int) -> list[list[float]]:
@@ -124,9 +103,6 @@ def gaps(count: int) -> list[Document]:
     return [gap | {"centre": [x, y]} for x, y in lattice(count, 4.0)]
 
 
-BOX, PILLAR = {"kind": "box", "size": [0.3, 0.3]}, {"kind": "round", "radius_m": 0.15}
-
-
 @cache
 def hard() -> dict[str, Document]:
     """All of them, by name."""
@@ -134,22 +110,13 @@ def hard() -> dict[str, Document]:
         "9,000 scattered walls": hall(walls=scattered(9000)),
         "as many scattered walls as there may be": hall(walls=scattered(4995)),
         "woven walls": hall(walls=weave(140)),
-        "boxes in rows": hall(obstacles=[BOX | {"centre": place} for place in lattice(4990, 2.0)]),
-        "pillars in rows": hall(obstacles=[PILLAR | {"centre": place} for place in lattice(620, 2.0)]),
-        "pillars beyond number": hall(obstacles=[PILLAR | {"centre": place} for place in lattice(10_000, 2.0)]),
+        "boxes in rows": hall(obstacles=[{"kind": "box", "size": [0.3, 0.3], "centre": c} for c in lattice(4990, 2.0)]),
         "a comb": hall(solids=[{"outer": comb(4900)}]),
-        "rooms around a point": hall(rooms=star_rooms(1000)),
-        "round rooms": hall(rooms=round_rooms(999, 20)),
-        "rooms of many corners": hall(rooms=round_rooms(19, 1000)),
-        "rooms beyond number": hall(rooms=round_rooms(1001, 4)),
-        "too many corners of rooms": hall(rooms=round_rooms(30, 1000)),
-        "starts beyond number": hall(starts=[{"point": [0.001 * i, 0.0]} for i in range(1001)]),
+        "rooms beyond number": hall(rooms=[{"name": f"r{i}", "polygon": HALL} for i in range(1001)]),
         "starts among walls": hall(walls=scattered(4900), starts=[{"point": [0.0005 * i, 0.0]} for i in range(1000)]),
         "gaps amid the floor": hall(doors=gaps(2000)),
-        "gaps in a heap": hall(doors=[gap | {"centre": [50.0 + 0.001 * i, 9.0]} for i, gap in enumerate(gaps(2000))]),
         "doors beyond number": hall(doors=gaps(2001)),
         "nothing but wrong points": hall(walls=[{"points": [[0]] * 900}] * 300),
-        "nothing but wrong walls": hall(walls=[{}] * 9000),
         "names of unknown rooms": hall(doors=[gap | {"rooms": ["hal", "hall"]} for gap in gaps(2000)]),
         "a name of a megabyte": hall(rooms=[{"name": "x" * 900_000, "polygon": HALL}]),
     }  # fmt: skip

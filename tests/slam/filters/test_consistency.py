@@ -34,12 +34,6 @@ def test_invariant_filter_is_consistent_over_sixty_runs(variance):
     assert 1.8 < runs.nees[:, runs.closure].mean() < BAND[1]
 
 
-def test_the_loop_is_closed_and_pays(riekf):
-    before = np.sqrt((riekf.error_m[:, riekf.closure - 5] ** 2).mean())
-    after = np.sqrt((riekf.error_m[:, riekf.closure] ** 2).mean())
-    assert after < 0.5 * before
-
-
 def test_plain_filter_is_not_consistent(riekf):
     plain = ring.monte_carlo(EKF, TWO_LAPS, QUICK)
     assert plain.mean_nees(1.0, 2.0) > 1.5 * BAND[1]

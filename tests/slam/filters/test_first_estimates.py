@@ -1,15 +1,10 @@
 """The filter `fej`: Jacobians at first estimates, and what it never learns: where the map as a whole lies."""
 
-import copy
-
 import numpy as np
 import pytest
 
-from mecp_env.slam import MapError, SlamMap, SlamPipeline
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
-from tests.slam.drives import fed
-from tests.slam.filters.conftest import Pair
 from tests.slam.filters.test_submap import Drive
 from tests.slam.filters.twin import J
 
@@ -43,24 +38,3 @@ def test_nothing_is_learnt_of_where_the_map_as_a_whole_lies(iterate: bool) -> No
     N = unobservable(sure.first)
     gained = unsure.cov[:size, :size] - sure.cov[:size, :size]
     np.testing.assert_allclose(gained, sigma**2 * N @ N.T, atol=1e-8)
-
-
-def test_first_estimates_follow_their_landmarks() -> None:
-    pair = Pair("fej", seed=10)
-    first = pair.filter.first[3:].reshape(-1, 2).copy()
-    pair.update(5)
-    other = copy.deepcopy(pair.filter)
-    pair.filter.remove(pair.ids[[1, 4]])
-    np.testing.assert_array_equal(pair.filter.first[3:].reshape(-1, 2), first[[0, 2, 3, 5]])
-    pair.filter.set_pose(np.array([1.0, 2.0, 0.5]))
-    np.testing.assert_array_equal(pair.filter.first[:3], [0.5, 1.0, 2.0])
-    np.testing.assert_array_equal(other.first[3:].reshape(-1, 2), first)
-
-
-def test_a_map_with_damaged_first_estimates_is_refused(drive) -> None:
-    pipeline = SlamPipeline({"filter": {"kind": "fej"}})
-    *_, _ = fed(pipeline, drive, last=5)
-    for damaged in (pipeline.filter.first[:-1], pipeline.filter.first * np.nan):
-        pipeline.filter.first = damaged
-        with pytest.raises(MapError, match="first"):
-            SlamMap.of(pipeline)

@@ -1,9 +1,5 @@
 """A filter that works on a submap against the same filter without one, on drives through a field of landmarks."""
 
-import copy
-import pickle
-from functools import cache
-
 import numpy as np
 import pytest
 
@@ -21,7 +17,7 @@ RANGE_M, NOISE = 5.0, np.array([0.01, 0.002])
 DRIVEN = np.array([0.005, 0.003])
 MARKS = np.array([[10.0, 0.0], [10.0, 1.5]])  # of a pose, as seen from it
 SHARP = 3e-4  # m and rad, of a scan that is registered with a past one
-LOOSE = np.diag([0.1, 0.2, 0.05]) ** 2
+LOOSE, SHIFT = np.diag([0.1, 0.2, 0.05]) ** 2, np.array([0.02, 0.01, 0.03])
 
 
 class Drive:
@@ -57,35 +53,22 @@ class Drive:
         return z, np.diag(np.tile(NOISE**2, len(ids)))
 
 
-@cache
-def _driven(steps, iterate, **fields):
+def driven(steps, **fields):
+    """A drive of so many steps with both filters."""
     config = FilterConfig(submap=MOST, **fields)
     drive = Drive(RightInvariantEkf(config), SubmapEkf(config))
     for _ in range(steps):
-        drive.step(iterate)
-    return drive
-
-
-def driven(steps=460, iterate=False, **fields):
-    """A drive of so many steps with both filters; by default the submap was taken anew several times."""
-    drive = copy.deepcopy(_driven(steps, iterate, **fields))
+        drive.step()
     return drive, *drive.filters
 
 
 @pytest.fixture(scope="module")
 def long_drive():
-    drive, whole, divided = driven()
+    """The submap was taken anew several times."""
+    drive, whole, divided = driven(460)
     assert divided.rest is not None
     assert len(divided.slot_ids) < 7 * MOST
     return drive, whole, divided
-
-
-def assert_equal(whole, divided, tolerance):
-    """Both filters believe the same."""
-    size = whole.size
-    assert np.array_equal(whole.slot_ids, divided.slot_ids)
-    assert np.abs(whole.mean[:size] - divided.mean[:size]).max() < tolerance
-    assert np.abs(whole.cov[:size, :size] - divided.cov[:size, :size]).max() < tolerance
 
 
 def test_what_is_asked_of_landmarks_at_rest_is_exact(long_drive):
@@ -127,30 +110,6 @@ def test_the_belief_names_all_landmarks_and_is_exact_for_those_in_the_submap(lon
     assert np.abs(shown.T_map_robot - expected.T_map_robot).max() < 1e-9
 
 
-def test_a_shifted_or_known_pose_and_landmarks_that_differ_and_become_one_are_those_of_the_whole_filter():
-    """What else may happen, an ordeal has."""
-    drive, whole, divided = driven()
-    resting, working = divided.rest.belief.ids[divided.rest.is_at_rest], divided.rest.slot_ids[divided.rest.at_work]
-    for name, arguments in (
-        ("shift_pose", (np.array([0.2, 0.1, 0.3]),)),
-        ("set_pose", (whole.belief().T_map_robot, None)),
-        ("fuse", (int(working[1]), int(resting[1]))),  # it bends the whole map
-    ):
-        for some in (whole, divided):
-            getattr(some, name)(*arguments)
-        for _ in range(10 * (name == "set_pose")):
-            drive.step()
-        copied = divided.copy()
-        copied.synchronise()
-        assert_equal(whole, copied, 1e-8)
-
-
-def test_iterated_updates_agree_as_far_as_they_converge():
-    _, whole, divided = driven(iterate=True)
-    divided.synchronise()
-    assert_equal(whole, divided, 1e-6)
-
-
 def test_a_small_map_is_that_of_the_whole_filter_to_the_bit():
     drive, whole, divided = driven(0)
     while whole.count < 6 * MOST - 20:
@@ -159,25 +118,8 @@ def test_a_small_map_is_that_of_the_whole_filter_to_the_bit():
     assert np.array_equal(whole.state, divided.state)
 
 
-def test_copies_continue_bit_for_bit_and_touch_nothing_of_their_original():
-    drive, _, divided = driven()
-    state, rest = divided.state.copy(), divided.rest
-    copies = copy.deepcopy(divided), pickle.loads(pickle.dumps(divided)), divided.copy()
-    drive.filters = copies
-    for _ in range(40):
-        drive.step()
-    for other in copies:
-        assert np.array_equal(other.slot_ids, copies[0].slot_ids)
-        assert np.array_equal(other.mean[: other.size], copies[0].mean[: other.size])
-        assert np.array_equal(other.cov[: other.size, : other.size], copies[0].cov[: other.size, : other.size])
-    for other in copies:
-        other.synchronise()
-    assert divided.rest is rest
-    assert np.array_equal(divided.state, state)
-
-
-def test_unknown_ids_are_refused_and_the_map_may_be_full():
-    drive, _, divided = driven()
+def test_unknown_ids_are_refused_and_the_map_may_be_full(long_drive):
+    drive, _, divided = long_drive
     z, R = drive.look(np.array([0]))
     for call in (divided.update, divided.innovation, divided.joint_nis):
         with pytest.raises(FilterError, match="no landmarks of this filter"):
@@ -185,7 +127,7 @@ def test_unknown_ids_are_refused_and_the_map_may_be_full():
     with pytest.raises(FilterError, match="must be new"):
         divided.augment(z, R, divided.rest.belief.ids[divided.rest.is_at_rest][:1])
     with pytest.warns(FullFilterWarning) as warned:
-        _, whole, divided = driven(max_landmarks=220)
+        _, whole, divided = driven(460, max_landmarks=220)
     assert len(warned) == 2  # one of each filter
     assert whole.dropped == divided.dropped > 0
     assert len(divided.ids) == 220
@@ -245,6 +187,7 @@ class Ordeal(Drive):
 
     def loosen(self):
         self.each("loosen", LOOSE)
+        self.each("shift_pose", SHIFT)
 
     def forget(self):
         gone = np.array([self.rng.choice(sorted(self.known))])

@@ -95,35 +95,11 @@ def test_a_wall_that_leaves_the_field_of_view_has_no_end_there(field_of_view_deg
         assert len(corners) == 2
 
 
-def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
-    post = ring((1.5, -0.05), (1.5, 0.05), (1.6, 0.05), (1.6, -0.05))
-    for seed in range(10):
-        corners, _ = corners_of(np.concatenate([post, ROOM]), PAPER, seed)
-        assert len(corners) == 4
-
-
-def test_an_end_is_never_off_by_more_than_its_sigma_where_the_same_beams_pass_it_every_time():
-    """The spacing of the beams is all that is unknown, and the error stays as long as the robot does not move."""
-    off = []
-    for y in np.linspace(1.0, 1.03, 40):
-        corners, points = corners_of(chain((2.0, -3.0), (2.0, y)), EXACT, 0, 1)
-        i = at(points, 2.0, y, within=0.1)
-        off.append((corners.z[i, 1] - math.atan2(y, 2.0)) / math.sqrt(corners.R[i, 1, 1]))
-    assert 0.7 < np.abs(off).max() < 1.1
-
-
 @pytest.mark.parametrize(
-    ("sensor", "sweeps", "end"),
-    [
-        (PAPER, 1, (2.0, 1.0)),
-        (PAPER, 4, (1.2, 1.5)),
-        (PAPER, 4, (3.0, -0.4)),
-        (LMS200, 1, (3.0, -0.4)),
-        (LMS200, 4, (2.0, 1.0)),
-    ],
+    ("sensor", "sweeps", "end"), [(PAPER, 1, (2.0, 1.0)), (PAPER, 4, (3.0, -0.4)), (LMS200, 4, (2.0, 1.0))]
 )
 def test_a_line_end_is_where_it_is_and_knows_how_well(sensor, sweeps, end):
-    """A wall 0.15 m thick; from the third end its end face is seen, hardly longer than the noise."""
+    """A wall 0.15 m thick; from the second end its end face is seen, hardly longer than the noise."""
     solid = chain((end[0], -3.0), end, (end[0] + 0.15, end[1]), (end[0] + 0.15, -3.0))
     faces = np.concatenate([solid, FAR_ROOM])
     nis, errors = [], []

@@ -87,12 +87,6 @@ def test_a_door_found_late_takes_the_room_off_what_was_seen_through_it() -> None
     assert layer_at(grid, grid.room, before) == [0]
 
 
-def test_merged_rooms_get_one_name(tour: Toy) -> None:
-    toy = copy.deepcopy(tour)
-    grid = paint(toy, make.graph(doors=toy.graph().doors, merged={1: 0}))
-    assert set(np.unique(grid.room)) == {-1, 0}
-
-
 def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
     for x in (1.0, 3.0, 8.0, 9.0):
@@ -109,18 +103,12 @@ def test_polygons_cover_their_interior_and_bring_their_room() -> None:
     grid = toy.output().grid
     area = grid.polygon.sum() * grid.resolution_m**2
     assert area == pytest.approx(24.0, rel=0.02)
+    all_landmarks, known, toy.p_map = toy.p_map, tuple(toy.polygons), toy.p_map[:2]
     toy.polygons.clear()
-    assert not toy.output().grid.polygon.any()
-
-
-def test_a_polygon_waits_for_its_landmarks() -> None:
-    toy = Toy(np.array([1.0, 2.0, 0.0]))
-    all_landmarks, toy.p_map = toy.p_map, toy.p_map[:2]
-    toy.confirmed = False
-    toy.add_polygon([0, 1, 2, 3], 0)
-    assert not paint(toy, make.graph(), tuple(toy.polygons)).polygon.any()
+    assert not paint(toy, make.graph()).polygon.any()
+    assert not paint(toy, make.graph(), known).polygon.any()  # it waits for its landmarks
     toy.p_map = all_landmarks
-    assert paint(toy, make.graph(), tuple(toy.polygons)).polygon.any()
+    assert paint(toy, make.graph(), known).polygon.any()
 
 
 def test_a_loop_closure_redraws_the_map() -> None:
@@ -134,13 +122,6 @@ def test_a_loop_closure_redraws_the_map() -> None:
     assert labels_at(grid, to_map(shift, np.array([[6.06, 1.95]]))) == [Cell.DOOR]
     corners = to_map(shift, np.array([[0.1, 0.1], [5.9, 3.9], [6.3, 2.0]]))
     assert layer_at(grid, grid.polygon, corners).tolist() == [1, 1, 0]
-
-
-def test_only_what_hangs_on_a_moved_landmark_moves() -> None:
-    toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
-    before = toy.last.grid
-    toy.p_map[8:] += 0.02  # less than half a cell
-    assert (toy.output().grid.label == before.label).all()
 
 
 def test_votes_taken_back_leave_nothing() -> None:
@@ -173,22 +154,6 @@ def test_a_pocket_of_a_completed_room_is_filled(tour: Toy) -> None:
     assert labels_at(toy.output(completed=(1,)).grid, pillar) == [Cell.OCCUPIED]
     p = np.stack([np.arange(-0.9, 33.0, 0.1), np.full(339, 4.9)], axis=1)
     assert (labels_at(toy.output(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # the outside is not a pocket
-
-
-def test_the_version_tells_when_a_cell_changed(tour: Toy) -> None:
-    toy = copy.deepcopy(tour)
-    first = toy.output().grid
-    assert toy.output().grid is first
-    toy.p_map = toy.p_map + 0.3
-    assert toy.output().grid.version > first.version
-
-
-def test_an_empty_map_is_painted_before_there_are_landmarks() -> None:
-    toy = Toy(np.array([1.0, 2.0, 0.0]))
-    for belief, anchored in ((make.belief(toy.belief().T_map_robot), False), (toy.belief(), True)):
-        grid = toy.painter.paint(belief, *look(toy.T_world_robot), belief.ids, (), make.graph())
-        assert labels_at(grid, np.array([[1.0, 2.0]])) == [Cell.FREE]
-        assert (toy.painter.scans.anchor >= 0).all() == anchored
 
 
 def test_a_beam_without_return_clears_what_the_laser_is_sure_of() -> None:
@@ -239,9 +204,7 @@ def test_asked_to_look_again_it_paints_a_scan_from_the_same_place() -> None:
     drive(toy, [(2.0, 2.0)])
     scans = len(toy.painter.scans.room)
     toy.painter.look_again()
-    drive(toy, [(2.0, 2.0)])
-    assert len(toy.painter.scans.room) == scans + 1
-    drive(toy, [(2.0, 2.0)])
+    drive(toy, [(2.0, 2.0), (2.0, 2.0)])
     assert len(toy.painter.scans.room) == scans + 1
 
 
@@ -284,7 +247,7 @@ def test_polygons_that_stayed_are_not_painted_again() -> None:
     assert list(map(id, without([first, second], [second]))) == [id(first)]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_polygon_covers_the_cells_whose_centre_it_contains(seed: int) -> None:
     rng = np.random.default_rng(seed)
     height, width, lattice = 30, 41, np.array([-7, 12])
@@ -347,7 +310,7 @@ def narrowed(wall: np.ndarray, quad: np.ndarray) -> bool:
     return False
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_door_is_walled_up_where_no_half_of_it_is_free(seed: int) -> None:
     rng, lattice = np.random.default_rng(seed), np.array([-20, 30])
     layers = np.zeros((7, 40, 50), np.int16)

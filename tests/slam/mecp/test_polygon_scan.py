@@ -4,10 +4,8 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.mecp.polygons import find_polygons
 from mecp_env.slam.messages import CornerKind, EdgeLabel
-from tests.slam import make
 from tests.slam.mecp.polygon_rooms import (
     BOX,
     ROOMS,
@@ -96,12 +94,6 @@ def test_a_pillar_is_no_wall_and_does_not_kill_the_rooms_polygon():
     assert find_polygons(corners, beams, CONFIG) == ()  # every beam taken for a wall's
 
 
-def test_beams_on_walls_are_those_of_clusters_with_lines():
-    clusters = make.clusters([0, 10], [5, 12], [0, 1], roll=718)
-    beams = beams_of(walls_of(RECTANGLE), np.array([1.0, 1.0, 0.0]))
-    assert np.flatnonzero(beams_on_walls(clusters, beams)).tolist() == [0, 1, 2, 3, 718, 719]
-
-
 def test_a_closed_room_has_wall_on_every_edge_whatever_the_noise():
     rng = np.random.default_rng(4)
     walls = walls_of(RECTANGLE)
@@ -174,11 +166,3 @@ def test_jambs_of_this_side_are_vertices_only_where_there_is_no_polygon_of_four_
     with_all = corners_of([*hall, (2.5, -0.2)], pose, kinds=[CornerKind.CROSSING] * 4 + [CornerKind.JAMB])
     (polygon,) = find_polygons(with_all, beams, CONFIG)
     assert (with_all.kind[polygon.corners] == CornerKind.CROSSING).all()
-
-
-def test_a_triangle_comes_back_where_there_is_nothing_better():
-    room = np.array([(0.0, 0.0), (6.0, 0.0), (3.0, 5.0)])
-    pose = np.array([3.0, 1.5, 0.0])
-    corners = corners_of(room, pose)
-    (polygon,) = find_polygons(corners, beams_of(walls_of(room), pose), CONFIG)
-    assert len(polygon.corners) == 3
