@@ -163,8 +163,10 @@ def private(module: ast.Module) -> Iterator[str]:
     """The private names of others that a file reads: attributes, imports, and names that it patches."""
     for node in ast.walk(module):
         names = list[str]()
-        if isinstance(node, ast.Attribute) and ast.unparse(node.value) not in ("self", "cls", "super()", "os"):
-            names = [node.attr]
+        if isinstance(node, ast.Attribute):
+            whose = getattr(node.value, "func", node.value)
+            own = getattr(whose, "id", "") in ("self", "cls", "os", "super")
+            names = [] if own else [node.attr]
         elif isinstance(node, ast.ImportFrom):
             names = [alias.name for alias in node.names]
         elif isinstance(node, ast.Call) and ast.unparse(node.func).endswith(("setattr", "getattr")):

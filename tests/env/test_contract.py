@@ -26,7 +26,7 @@ SB3_ALLOWED = ("Your observation landmarks has an unconventional", "Your observa
 GYM_ALLOWED = r".*is different from the unwrapped version.*"
 
 
-KINDS = [("mecp_env/Layout-v0", actions, observation) for actions in ACTIONS for observation in FORMATS]
+KINDS = [("mecp_env/Layout-v0", *kinds) for kinds in zip(ACTIONS, FORMATS, strict=True)]
 
 
 @pytest.mark.parametrize(("name", "actions", "observation"), [*((name, None, None) for name in IDS), *KINDS])
@@ -39,8 +39,8 @@ def test_gymnasium_check_env_without_a_warning(name, actions, observation):
         check_env(below(env), skip_render_check=not actions, skip_close_check=bool(actions))
 
 
-@pytest.mark.parametrize(("actions", "observation"), [*zip(ACTIONS, FORMATS, strict=True)])
-def test_stable_baselines3_check_env(actions, observation):
+@pytest.mark.parametrize(("name", "actions", "observation"), KINDS)
+def test_stable_baselines3_check_env(name, actions, observation):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     env = make(actions=actions, observation=observation)
     with warnings.catch_warnings(record=True) as caught:

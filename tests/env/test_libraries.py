@@ -10,7 +10,6 @@ from mecp_env.wrappers import GoalActions
 from tests.env.helpers import make, until_over
 
 FORMATS = ("flat", "image")
-POLICIES = {"flat": "MlpPolicy", "image": "CnnPolicy", "dict": "MultiInputPolicy"}
 WRAPPERS = {
     "statistics": wrappers.RecordEpisodeStatistics,
     "flatten": wrappers.FlattenObservation,
@@ -49,14 +48,3 @@ def test_a_film_of_goal_actions_shows_every_control_step(tmp_path: Path) -> None
     *_, (*_, info) = until_over(env, lambda _: 0)
     assert len(recorder.recorded_frames) == info["period"] + 1
     env.close()
-
-
-@pytest.mark.parametrize("observation", FORMATS)
-def test_ppo_of_stable_baselines3_takes_them_as_they_are(observation: str) -> None:
-    sb3 = pytest.importorskip("stable_baselines3")
-    vec_env = pytest.importorskip("stable_baselines3.common.vec_env")
-    model = sb3.PPO(POLICIES[observation], make(observation=observation, max_steps=20), n_steps=16, batch_size=8)
-    assert not isinstance(model.get_env(), vec_env.VecTransposeImage)
-    assert model.observation_space == make(observation=observation).observation_space
-    model.learn(32)
-    assert model.predict(make(observation=observation).reset(seed=0)[0])[0].shape == (2,)

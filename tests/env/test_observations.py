@@ -87,16 +87,6 @@ def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_c
         assert np.count_nonzero(window) == 2
 
 
-def test_the_path_lies_where_the_window_shows_it():
-    pose = np.array([1.0, 2.0, 0.7])
-    points = pose[:2] + np.array([[0.0, 0.0], [2.0 * math.cos(0.7), 2.0 * math.sin(0.7)], [500.0, 0.0]])
-    window = window_of(np.zeros((5, 5), np.uint8), np.array([50.0, 50.0, 0.0]) + pose, (96, 0.2), points + 50.0)
-    rows, cols = np.nonzero(window & observation_arrays.PATH)
-    assert sorted(rows.tolist()) == [38, 48] or sorted(rows.tolist()) == [37, 48]
-    assert set(cols.tolist()) <= {47, 48}
-    assert (window & ~np.uint8(observation_arrays.PATH) == observation_arrays.UNKNOWN).all()  # outside the grid
-
-
 def belief_of(n: int, rng) -> Belief:
     a = rng.normal(size=(n, 2, 2)) * 0.1
     covs = a @ a.transpose(0, 2, 1) + 1e-4 * np.eye(2)

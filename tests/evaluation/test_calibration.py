@@ -15,14 +15,12 @@ from mecp_env.evaluation.log_run import config_for, run_log
 from mecp_env.evaluation.scan_motions import (
     ALONG,
     NOTHING,
-    SIDE,
     TURN,
     Motions,
     Residuals,
     fitted,
     noise_of,
     residuals,
-    slip_as_turn,
     told,
 )
 from mecp_env.logs.log import Log
@@ -142,12 +140,6 @@ def test_odometry_that_says_nothing_is_refused(log: Log, change: Any, said: str)
         mecp_env.calibrate(scans, change(log.T_odom_robot[:100], np.arange(100)[:, None]))
 
 
-def test_a_log_whose_odometry_says_nothing_takes_the_defaults(log: Log) -> None:
-    found = calibration_of(replace(log, T_odom_robot=0.0 * log.T_odom_robot))
-    assert found.odometry == OdometryModel()
-    assert "never moves" in found.notes[0]
-
-
 def test_corrections_are_undone_by_what_is_measured() -> None:
     model, rng = OdometryModel(**OFF), np.random.default_rng(0)
     true = rng.normal(size=(200, 3)) * [0.5, 0.1, 0.5]
@@ -216,14 +208,6 @@ def test_noise_is_told_apart_by_metres_and_radians() -> None:
         noise = np.sqrt(noise_of(drawn(outliers=outliers)))
         np.testing.assert_allclose(noise[[ALONG, TURN], 0], PER_METRE, rtol=0.15)
         np.testing.assert_allclose(noise[[ALONG, TURN], 1], PER_RAD, rtol=0.25)
-
-
-def test_slip_to_the_side_is_covered_by_the_turn() -> None:
-    arcs, slipping = drawn(), drawn(side=0.05)
-    assert slip_as_turn(arcs, noise_of(arcs)) < 0.1 * PER_METRE[1] ** 2
-    slip = slip_as_turn(slipping, noise_of(slipping))
-    metres = 0.8
-    assert math.sqrt(SIDE * slip * metres**3) == pytest.approx(0.05 * metres, rel=0.3)
 
 
 def test_a_corridor_tells_a_turn_but_no_distance() -> None:

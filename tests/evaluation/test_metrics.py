@@ -308,19 +308,14 @@ def test_an_episode_adds_up_until_a_wrong_pose_makes_it_lost():
     assert (summary["periods"], summary["pose_error_final_m"], summary["lost"]) == (30, errors[-1], False)
     assert summary["pose_error_worst_m"] >= max(errors)
     assert summary["metres"] == pytest.approx(info["metres"])
-    assert 1.0 < summary["metres"] < 30 * 0.4 * 0.75 * 0.4
     assert 0.0 < summary["polygon_cover"] <= summary["grid_cover"] + 0.05
     assert 0.0 <= summary["door_error_m"] < 0.05
-    assert 0.0 < summary["grid_iou"] <= 1.0
-    free = build_outline(load_layout("two_rooms")).free_area.area
-    assert summary["free_area_m2"] == pytest.approx(free, rel=0.02)
     assert all(math.isfinite(value) for value in summary.values())
     assert first < info["correct_coverage"] < info["coverage"]
     for area in ("correct_coverage_over_steps", "correct_coverage_over_metres"):
         assert first <= summary[area] < summary["correct_coverage"]
         assert info[area] == summary[area]
     assert 0.0 < info["map_error_m"] < 0.05
-    assert summary["map_rmse_m"] < 0.05
     episode_of(env).pipeline.filter.shift_pose(np.array([3.0, 0.0, 0.0]))
     info = env.step(np.zeros(2, np.float32))[-1]
     assert info["pose_error_m"] > 1.0

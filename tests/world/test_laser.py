@@ -35,7 +35,7 @@ def poses(outline: Outline, count: int, clearance: float = 0.22, seed: int = 0) 
 def check(outline: Outline, fields: dict[str, Any], seed: int = 0, mounting: Any = lambda pose: pose) -> None:
     """Each beam of scans with these settings has the range of its true direction, from where the laser is."""
     laser, sigma = Laser(outline, LaserConfig(**fields)), math.radians(fields.get("bearing_sigma_deg", 0.0))
-    for number, pose in enumerate(poses(outline, 12, seed=seed)):
+    for number, pose in enumerate(poses(outline, 4, seed=seed)):
         scan = laser.scan(pose, np.random.default_rng(number))
         noise = bearing_noise(number, scan.bearings.size).reshape(-1, len(scan.bearings)).T
         for ranges, bearings in zip(scan.ranges, scan.bearings + sigma * noise, strict=True):

@@ -67,6 +67,7 @@ def replace(path: str, value: Any) -> Callable[[Document], None]:
 
 
 PILLAR = {"kind": "round", "centre": [5, 1.8], "radius_m": 0.3}
+SCATTERED = [{"points": [[x, y], [x + 1, y]]} for x in range(-180, 0, 2) for y in range(0, 300, 3)]
 BOW_TIE = [[0, 0], [5, 5], [5, 0], [0, 5]]
 BAD_DOCUMENTS = {
     "unknown key": (replace("colour", "red"), r"layout\.colour"),
@@ -76,6 +77,12 @@ BAD_DOCUMENTS = {
     "point of three": (replace("walls.1.points.0", [1, 2, 3]), r"walls\.1\.points\.0"),
     "far away": (replace("walls.1.points.0", [5000, 0]), r"walls\.1\.points\.0\.0.*1000.*5000"),
     "zero-length wall": (replace("walls.1.points", [[5, 0], [5, 0]]), r"walls\.1.*0\.01 m apart"),
+    "too many rooms": (
+        replace("rooms", [{"name": str(k), "polygon": BOW_TIE} for k in range(1001)]),
+        "rooms: .*at most 1000",
+    ),
+    "long name": (replace("rooms.0.name", "x" * 900_000), r"rooms\.0\.name: .*at most 80 characters"),
+    "too many faces": (replace("walls", SCATTERED), r"36\d{3} faces, at most 20000 \(two for each point of a wall"),
     "walls in a heap": (replace("walls", [{"points": [[0, 0], [9, 5]]}] * 1000), r"walls: too many .* at most 1000000"),
     "later version": (replace("version", 2), r"version.*1.*2"),
     "same name twice": (replace("rooms.1.name", "west"), r"rooms\.1\.name: 'west'"),
