@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +16,7 @@ from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, episode_of, make, started
+from tests.env.helpers import IDS, NEEDED, drive, make
 
 FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
@@ -184,16 +183,6 @@ def test_the_best_place_is_the_last_before_waiting() -> None:
     assert best_place_last(goals, wide).path_m[2:].tolist() == [40.0, 1.0, 5.0, 0.0]
     assert best_place_last(goals, sharp).kind.tolist() == [FRONTIER, OPEN, PLACE, PLACE, PLACE, WAIT]
     assert len(best_place_last(Goals(), wide)) == 0
-
-
-def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
-    env = started(observation="flat")
-    episode = episode_of(env)
-    belief = replace(episode.slam_output.belief, pose_cov=np.full((3, 3), np.nan))
-    episode.slam_output = replace(episode.slam_output, belief=belief)
-    flat = dict(zip(mecp_env.flat_names(env), env.observation(), strict=True))
-    assert (flat["sigma_ahead"], flat["sigma_left"], flat["sigma_heading"]) == (0.0, 0.0, 0.0)
-    assert env.info()["saturated"] == 3
 
 
 def test_names_match_the_vector_and_what_is_not_flat_is_refused() -> None:

@@ -121,10 +121,7 @@ def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch)
 def test_only_the_environment_itself_can_be_wrapped():
     with pytest.raises(ConfigError, match="GoalActions"):
         GoalActions(make(actions="discrete"))
-    wrapped = GoalActions(make())
-    wrapped.reset(seed=1)
-    assert wrapped.step(0)[4]["periods"] >= 1
-    assert wrapped.spec.additional_wrappers[-1].name == "GoalActions"
+    assert GoalActions(make()).spec.additional_wrappers[-1].name == "GoalActions"
 
 
 def test_a_robot_with_a_blind_side_looks_around_while_it_waits():

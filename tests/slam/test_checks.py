@@ -127,13 +127,3 @@ def test_a_match_of_an_unsound_associator_is_refused(match, told):
     """Seen: compiled functions indexed arrays with such a match, and the process died."""
     with pytest.raises(MatchError, match=told):
         check_match(match, 3, 5)
-
-
-def test_measurements_are_rows_and_blocks():
-    A, index = np.random.default_rng(1).normal(size=(10, 10)), np.array([3, 0, 4])
-    corners = make.corners(A[:5, :2], cov=A @ A.T)
-    z, R = corners.measurements(index)
-    rows = np.ravel(np.column_stack((2 * index, 2 * index + 1)))
-    assert (z == corners.z[index]).all()
-    assert (corners.cov[np.ix_(rows, rows)] == R).all()
-    assert (corners.R[3] == corners.cov[6:8, 6:8]).all()

@@ -8,10 +8,6 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.core.errors import ConfigError
-from mecp_env.core.snapshot import StateError
-from mecp_env.core.snapshot_check import check_shapes
-from mecp_env.episode.episode import SHAPES
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
@@ -167,21 +163,6 @@ def test_a_leg_is_clear_when_no_face_comes_near() -> None:
         far = shapely.distance(walls, shapely.LineString([a, b]))
         if abs(far - 0.25) > 1e-6 and shapely.distance(walls, shapely.Point(a)) > 0.25:
             assert clear_leg(outline.segments, *a, *b, 0.25) == (far > 0.25)
-
-
-def test_wrong_fields_and_torn_states_are_refused() -> None:
-    with pytest.raises(ConfigError, match="least <= most"):
-        CrowdConfig(speed_m_s=(1.0, 0.5))
-    _, movers = world("two_rooms")
-    assert movers.state.can_continue()
-    legs = movers.state.legs.copy()
-    movers.state.legs[0, 0] = legs[0, 1]  # behind the end of the route
-    assert not movers.state.can_continue()
-    movers.state.legs, movers.state.places = legs, np.empty((0, 2))
-    assert not movers.state.can_continue()
-    movers.state.routes = movers.state.routes[:2]
-    with pytest.raises(StateError, match=r"state\.moving\.routes"):
-        check_shapes(movers.state, SHAPES, "state.moving", {})
 
 
 CROWDED = {"people": 8, "polite": False, "speed_m_s": (0.8, 1.2)}

@@ -211,16 +211,6 @@ def test_the_joint_test_of_ccda_leaves_out_the_pair_that_disturbs():
         assert fits.tolist() == kept
 
 
-@pytest.mark.parametrize("method", RIVALS)
-def test_only_the_descriptor_tells_corners_apart_whose_faces_are_turned(method):
-    scene = Scene(np.random.default_rng(10), landmarks=6, spurious=0, sigma=0.02)
-    scene.turned = 1.0
-    with_descriptor = len(scene.associated(method=method).recognised())
-    without = len(scene.associated(method=method, use_descriptor=False).recognised())
-    fixed = {"nearest_room": (6, 6), "nearest_descriptor": (0, 0)}  # the name decides
-    assert (with_descriptor, without) == fixed.get(method, (0, 6))
-
-
 @pytest.mark.parametrize("method", ["jcbb", "ccda", "nearest_room", "mecp_paper"])
 def test_in_closed_loop_the_rivals_map_two_rooms(drive, method):
     recognised, right, wrong, identity = 0, 0, 0, {}

@@ -185,15 +185,6 @@ def test_free_space_is_cut_at_a_door() -> None:
     assert len(split_outline(outline, eye, unseen)[1]) == 0
 
 
-def test_a_door_on_the_line_of_a_wall_divides_by_nothing() -> None:
-    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)  # the candidate lies on the face of the wall
-    for heading in np.arange(-3.0, 3.0, 0.25):
-        toy.T_world_robot = np.array([1.0 + heading / 5.0, 1.0, heading])
-        toy.painter = type(toy.painter)(GridConfig())
-        grid = toy.output().grid
-        assert layer_at(grid, grid.room, np.array([[8.0, 2.8]])) == [-1]
-
-
 def area(ring: np.ndarray) -> float:
     x, y = ring[:, 0], ring[:, 1]
     return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())

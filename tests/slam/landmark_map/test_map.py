@@ -2,14 +2,13 @@
 
 import math
 from dataclasses import replace
-from itertools import compress
 
 import numpy as np
 import pytest
 
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig, TrackConfig
-from mecp_env.slam.landmark_map import MapPolygonStore, are_whole, groups_of, link, without_doubles
+from mecp_env.slam.landmark_map import MapPolygonStore, link
 from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, whole_bodies, without_dynamic
 from mecp_env.slam.landmark_map.tracks import (
     PruneLimits,
@@ -355,19 +354,3 @@ def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():
     assert linked([0, 1, 2], 0) is None  # another room
     assert linked([0, 1, 3], 1) is None  # a corner without an id
     assert linked([1, 2, 4], 1) is None  # one feature twice
-
-
-def test_whole_polygons_are_found_as_vertex_by_vertex():
-    rng = np.random.default_rng(3)
-    state, room = rng.integers(1, 4, 40), rng.integers(0, 2, 40)
-    rings = [rng.choice(40, rng.integers(1, 5)).tolist() for _ in range(300)]
-    now = dict(enumerate(rng.integers(0, 2, len(rings)).tolist()))
-    dead = int(FeatureState.DEAD)
-    wanted = [ring for i, ring in enumerate(rings) if all(state[v] != dead and room[v] == now[i] for v in ring)]
-    polygons = [make.map_polygon(ring, number) for number, ring in enumerate(rings)]  # whose room is their number
-    rooms, features = np.array(list(now.values())), make.features(40, state=state, room=room)
-    kept = list(compress(polygons, are_whole(groups_of(polygons), rooms, features)))
-    assert [polygon.ids.tolist() for polygon in kept] == wanted
-    assert 10 < len(wanted) < 290
-    last = {tuple(polygon.ids.tolist()): polygon for polygon in kept}
-    assert without_doubles(kept) == [last[ring] for ring in last if len(set(ring)) == len(ring)]

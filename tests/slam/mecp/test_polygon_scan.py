@@ -94,16 +94,6 @@ def test_a_pillar_is_no_wall_and_does_not_kill_the_rooms_polygon():
     assert find_polygons(corners, beams, CONFIG) == ()  # every beam taken for a wall's
 
 
-def test_a_closed_room_has_wall_on_every_edge_whatever_the_noise():
-    rng = np.random.default_rng(4)
-    walls = walls_of(RECTANGLE)
-    for pose in poses_in(RECTANGLE, 40, rng, margin=0.4):
-        corners = corners_of(RECTANGLE + rng.normal(0, 0.02, (4, 2)), pose, sigma=0.02)
-        (polygon,) = find_polygons(corners, beams_of(walls, pose, rng, 0.025), CONFIG)
-        assert polygon.corners.tolist() == [0, 1, 2, 3]
-        np.testing.assert_array_equal(polygon.intervals, [[e, 0, 1, EdgeLabel.WALL] for e in range(4)])
-
-
 @pytest.mark.parametrize("detected", [True, False])
 def test_a_wall_with_a_door_is_wall_gap_wall(detected):
     walls, jambs = room_with_door()
