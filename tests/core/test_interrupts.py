@@ -7,12 +7,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import numba
 import pytest
 
-from mecp_env.core import jit
 from mecp_env.core.interrupts import interrupts_later
-from mecp_env.core.jit import compiled
 
 ROOT = Path(__file__).parents[2]
 AS_COMMAND = "import sys; sys.argv = ['mecp-env']; sys.orig_argv = ['python', 'mecp-env']; import mecp_env, signal\n"
@@ -51,35 +48,6 @@ def test_an_interrupt_comes_after_the_work() -> None:
         work()
     assert done == ["work"]
     assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
-
-
-@pytest.mark.skipif(numba.config.DISABLE_JIT, reason="nothing is compiled")
-@pytest.mark.parametrize("kept", [True, False])
-def test_an_interrupt_while_a_function_is_compiled_is_not_lost(monkeypatch: pytest.MonkeyPatch, kept: bool) -> None:
-    """LLVM's bindings have `__del__` and functions that C calls, in which Python would print and lose it."""
-
-    class Lossy:
-        def __del__(self) -> None:
-            signal.raise_signal(signal.SIGINT)
-            done.append("deleted")
-
-    def compile_and_delete(self: Any, sig: Any) -> Any:
-        Lossy()
-        return real(self, sig)
-
-    done = list[str]()
-    real = numba.core.dispatcher.Dispatcher.compile
-    monkeypatch.setattr(numba.core.dispatcher.Dispatcher, "compile", compile_and_delete)
-    monkeypatch.setattr(jit, "usable", lambda place: kept)
-    function = compiled(add_one)
-    with pytest.raises(KeyboardInterrupt):
-        function(1.0)
-    assert "deleted" in done
-    assert function.signatures
-
-
-def add_one(value: float) -> float:
-    return value + 1.0
 
 
 def test_an_interrupt_while_modules_are_imported_is_one_line(tmp_path: Path) -> None:

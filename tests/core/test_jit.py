@@ -1,4 +1,4 @@
-"""The cache of compiled functions: stale, damaged, full, unwritable, switched off; each in a process of its own."""
+"""The cache of compiled functions: stale, damaged, unwritable, switched off; each in a process of its own."""
 
 import math
 import os

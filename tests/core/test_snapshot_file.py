@@ -1,4 +1,4 @@
-"""Snapshots in files: every value to the last bit, readable without the package, one error for whatever is wrong."""
+"""Snapshots in files: every value to the last bit, one error for whatever is wrong."""
 
 import io
 import json

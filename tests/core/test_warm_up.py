@@ -1,4 +1,4 @@
-"""Compiling ahead: on first use only, in processes that never outlive it, and not in workers of a pool."""
+"""Compiling ahead: on first use only, in processes that never outlive it."""
 
 import os
 import signal

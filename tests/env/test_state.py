@@ -1,4 +1,4 @@
-"""States and maps at random moments come back to the bit; a door that a wall fills is part of both."""
+"""States and maps at random moments come back to the bit; what is damaged is named."""
 
 import copy
 import pickle

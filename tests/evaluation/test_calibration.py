@@ -175,14 +175,6 @@ def drawn(side: float = 0.0, outliers: float = 0.0) -> Residuals:
     return Residuals(off, np.zeros((N, 3, 3)), metres, turn, 5.0, False)
 
 
-def test_the_true_values_leave_nothing() -> None:
-    left = residuals(exact(), TRUE, np.zeros(3))
-    np.testing.assert_allclose(left.off, 0.0, atol=1e-12)
-    assert abs(residuals(exact(), NOTHING, np.zeros(3)).off).max() > 0.02
-    described = residuals(exact(), TRUE * [1.0, 1.0, 1.0, 0.0, 0.0], np.array([TRUE[3], 0.0, TRUE[4]]))
-    np.testing.assert_allclose(described.off, 0.0, atol=1e-12)
-
-
 def test_the_covariance_is_that_of_the_registration_in_the_frame_of_the_course() -> None:
     motions, rng = exact(1), np.random.default_rng(2)
     values = np.array([1.0, 1.0, 0.0, 0.5, 0.3])

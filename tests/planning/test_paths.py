@@ -1,4 +1,4 @@
-"""The grid planner: clearance and paths against brute force, corners, doors, smoothing."""
+"""The grid planner: clearance and paths against brute force, corners, doors."""
 
 import heapq
 import math
@@ -176,15 +176,6 @@ def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> No
     label[14, :5] = label[15, 4:12] = label[16, 10:18] = Cell.OCCUPIED  # a slanted wall on its other side
     costs = costs_from(label, (12, 12))
     assert (costs.total[2:10, 2:9] < grid_paths.FAR).all()
-
-
-def test_smoothing_leaves_few_points_in_the_open() -> None:
-    label = np.full((60, 90), Cell.FREE, np.uint8)
-    costs = costs_from(label, (10, 10))
-    path = costs.path((50, 80))
-    assert len(path) == 2
-    x, y = costs.centre((50, 80)).tolist()
-    assert costs.lengths_m([(x, y, 0.05)]) == pytest.approx([7.0 + 0.4 * 4.0], abs=0.2)
 
 
 def test_a_wall_on_the_path_is_noticed() -> None:

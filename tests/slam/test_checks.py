@@ -1,4 +1,4 @@
-"""The checks of scans, odometry and matches, and what a stage takes of corners."""
+"""The checks of scans, odometry and matches."""
 
 import math
 from dataclasses import replace

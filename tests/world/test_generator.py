@@ -1,4 +1,4 @@
-"""Generated buildings match their specification, for every seed; figures of buildings."""
+"""Generated buildings match their specification, for every seed."""
 
 import math
 from collections import Counter
@@ -16,7 +16,7 @@ from mecp_env.world.doors import building_figures
 from mecp_env.world.generator import generate
 from mecp_env.world.layout import check_geometry, load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
-from mecp_env.world.schema import BoxSpec, Layout
+from mecp_env.world.schema import Layout
 
 CORNERS_APART_M = 0.25
 VERTICES = {"L": 6, "U": 8, "T": 8}
@@ -125,16 +125,6 @@ def test_a_seed_is_a_building_which_survives_its_file(tmp_path) -> None:
     seeds = [set(SPLITS[split]) for split in ("train", "validation", "test")]
     assert len(set.union(*seeds)) == sum(map(len, seeds))  # the splits share no building
     assert split_seed("test", 0) == 2_000_000
-
-
-def test_furniture_stands_clear_of_doors() -> None:
-    spec, kinds = GeneratorSpec(rooms=8, furniture=1.0, room_side_m=(5.0, 7.0)), set()
-    for seed in range(5):
-        layout = generate(spec, seed)
-        far = [np.hypot(*np.subtract(p.centre, d.centre)) for p in layout.obstacles for d in layout.doors]
-        assert min(far) > 1.2
-        kinds |= {isinstance(piece, BoxSpec) for piece in layout.obstacles}
-    assert kinds == {True, False}
 
 
 def test_more_furniture_than_finds_room_is_refused_with_what_did() -> None:

@@ -1,4 +1,4 @@
-"""The laser: rays against a brute-force twin, noise as named, sweeps interleaved, bits that repeat."""
+"""The laser: rays against a brute-force twin, noise as named, sweeps interleaved."""
 
 import math
 from typing import Any

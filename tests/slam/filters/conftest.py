@@ -1,4 +1,4 @@
-"""A filter with a map, and random measurements with correlated corners."""
+"""Random lives of filters, of one beside its reference implementation, and measurements of correlated corners."""
 
 from typing import Any
 

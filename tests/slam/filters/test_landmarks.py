@@ -1,6 +1,4 @@
-"""Ids, slots, capacity, removal, copies, the belief in world coordinates, and lasers off the centre."""
-
-import copy
+"""Ids, slots, capacity, removal, the belief in world coordinates, and lasers off the centre."""
 
 import numpy as np
 import pytest
@@ -69,21 +67,6 @@ def test_a_full_filter_drops_the_newest_and_counts(kind):
     estimate.remove(np.array([0]))
     estimate.augment(z[2, :1], np.eye(2) * 1e-4, np.array([99]))
     assert estimate.ids.tolist() == [1, 2, 3, 4, 5, 6, 7, 99]
-
-
-@pytest.mark.parametrize("duplicate", [copy.deepcopy, lambda f: f.copy()])
-def test_copies_are_independent_and_continue_bit_for_bit(kind, duplicate):
-    pair = Pair(kind, seed=4)
-    other, before = duplicate(pair.filter), pair.filter.state.copy()
-    steps = [(random_odometry(pair.rng), *pair.scan(3)) for _ in range(10)]
-    for estimate in (other, pair.filter):
-        if estimate is pair.filter:
-            np.testing.assert_array_equal(estimate.state, before)
-        for odometry, z, R, slots in steps:
-            estimate.predict(odometry)
-            estimate.update(z, R, pair.ids[slots])
-    for a, b in zip(pair.filter.marginal(other.ids), other.marginal(other.ids), strict=True):
-        np.testing.assert_array_equal(a, b)
 
 
 @pytest.mark.parametrize("pose_cov", [None, MORE])

@@ -57,13 +57,6 @@ def at_the_end(runs):
     return copy.deepcopy(runs[-1][0])
 
 
-def test_a_lost_pose_empties_the_window(at_the_end):
-    pipeline = at_the_end
-    pipeline.lose_pose()
-    assert not pipeline.recent.scans
-    assert (pipeline.filter.slot_ids >= 0).all()
-
-
 def test_a_full_view_has_a_window_only_while_scans_show_few_corners():
     short = scripted_drive(seed=3, max_range_m=3.0)
     runs = [(output, len(pipeline.recent.scans)) for pipeline, output, *_ in short.run(SlamConfig())]

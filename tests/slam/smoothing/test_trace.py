@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from mecp_env.core.intervals import estimate
-from mecp_env.core.se2 import between, composed
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, run_log
 from mecp_env.logs import Log, read_log
 from mecp_env.slam import SlamPipeline, smoothing
@@ -46,20 +45,6 @@ def test_the_final_path_is_better(tmp_path: Path) -> None:
     for name in ("ate_m", "ate_deg"):
         shares = estimate([m[f"final_{name}"] / m[name] for m in metrics])
         assert shares["high"] < 1.0  # of the 95 % interval
-
-
-def test_odometry_is_that_of_the_laser(tmp_path: Path) -> None:
-    log = log_of(tmp_path)
-    made = LogDrive(log, SlamPipeline(config_for(log, {"sensor": {"x_m": 0.3, "heading_deg": 90.0}})), OPTIONS)
-    steps = made.steps()
-    for _ in range(4):
-        next(steps)
-    T_robot_laser = made.pipeline.config.sensor.T_robot_laser
-    for (start, end, T, cov), motion in zip(made.trace.odometry, made.measured[1:], strict=True):
-        assert end == start + 1
-        expected = between(T_robot_laser, composed(motion, T_robot_laser))
-        np.testing.assert_allclose(T, expected, atol=1e-9)
-        assert np.linalg.eigvalsh(cov).min() > 0.0
 
 
 def test_a_merged_landmark_is_the_one_that_it_became(drive: LogDrive, monkeypatch: pytest.MonkeyPatch) -> None:
