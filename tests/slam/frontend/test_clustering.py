@@ -83,6 +83,12 @@ def test_kinds():
     assert kinds == [ClusterKind.SMALL, ClusterKind.LINES]
 
 
+def test_a_laser_with_less_than_a_full_circle_has_a_gap_behind():
+    beams = make.beams(np.full(361, 2.0), np.linspace(-math.pi / 2, math.pi / 2, 361))
+    clusters = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT)
+    assert (clusters.roll, clusters.first.tolist(), clusters.last.tolist()) == (0, [0], [360])
+
+
 def plain_joined(beams, sigma):
     """Which beams belong together with the next one, by points and the formula of III-A.1 with the noise term."""
     points = beams.ranges[:, None] * np.column_stack([np.cos(beams.bearings), np.sin(beams.bearings)])
