@@ -173,6 +173,7 @@ def changed(slam_map: SlamMap, path: str, value: Any) -> SlamMap:
         ("config", {"@settings": ["mecp_env.slam.config:SlamConfig", {"speed": 1}]}, "SlamConfig.speed: no such field"),
         ("grid", {"@object": ["os:system", {}]}, "state: 'os:system' is not a class of mecp_env"),
         ("grid.canvas.resolution_m", 0.07, r"grid\.canvas\.resolution_m: 0\.07, configured"),
+        ("filter.slot_ids", {"@array": [np.arange(-500, 500), True]}, r"filter: state .* for slot_ids \(1000,\)"),
         ("filter.state", {"@array": [np.zeros((301, 303)), True]}, r"filter: state \(301, 303\) for slot_ids"),
     ],
 )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.checks import SensorError
-from mecp_env.slam.config import FilterConfig, SensorModel, SlamConfig
+from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.landmark_map import LandmarkMap
 from mecp_env.slam.localisation import Evidence, PoseGuard
 from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
@@ -115,6 +115,13 @@ def test_every_decision_has_its_reason(steps):
     for _, output, _, _ in steps:
         for decision, reason in zip(output.match.decision, output.match.reason, strict=True):
             assert Reason(reason) in allowed[Decision(decision)]
+
+
+def test_without_polygons_rooms_and_descriptor_the_default_associator_recognises_no_polygon(drive):
+    switches = {"use_polygons": False, "use_rooms": False, "use_descriptor": False}
+    run = list(drive.run(SlamConfig(association=AssociationConfig(**switches))))
+    assert not any(output.match.known >= 0 for _, output, _, _ in run)
+    assert len(run[-1][1].belief.ids) > 8
 
 
 def neglected(far, errors):

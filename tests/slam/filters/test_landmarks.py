@@ -79,6 +79,7 @@ def test_set_pose_is_independent_of_the_map_and_keeps_it(pair, pose_cov):
     np.testing.assert_allclose(placed_cov[:3, :3], 1e-12 * np.eye(3) if pose_cov is None else pose_cov, atol=1e-12)
     np.testing.assert_allclose(placed_cov[3:, 3:], cov[3:, 3:], atol=1e-12)
     np.testing.assert_allclose(placed_cov[:3, 3:], 0.0, atol=1e-12)
+    np.testing.assert_array_equal(getattr(pair.filter, "first", pair.mean)[:3], [3.0, 1.0, -2.0])
 
 
 def test_loosening_adds_to_the_pose_and_keeps_what_the_map_says_of_it(pair):

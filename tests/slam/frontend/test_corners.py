@@ -95,6 +95,13 @@ def test_a_wall_that_leaves_the_field_of_view_has_no_end_there(field_of_view_deg
         assert len(corners) == 2
 
 
+def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
+    post = ring((1.5, -0.05), (1.5, 0.05), (1.6, 0.05), (1.6, -0.05))
+    for seed in range(10):
+        corners, _ = corners_of(np.concatenate([post, ROOM]), PAPER, seed)
+        assert len(corners) == 4
+
+
 @pytest.mark.parametrize(
     ("sensor", "sweeps", "end"), [(PAPER, 1, (2.0, 1.0)), (PAPER, 4, (3.0, -0.4)), (LMS200, 4, (2.0, 1.0))]
 )

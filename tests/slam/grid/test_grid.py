@@ -87,6 +87,12 @@ def test_a_door_found_late_takes_the_room_off_what_was_seen_through_it() -> None
     assert layer_at(grid, grid.room, before) == [0]
 
 
+def test_merged_rooms_get_one_name(tour: Toy) -> None:
+    toy = copy.deepcopy(tour)
+    grid = paint(toy, make.graph(doors=toy.graph().doors, merged={1: 0}))
+    assert set(np.unique(grid.room)) == {-1, 0}
+
+
 def test_what_was_painted_since_a_room_was_entered_unnoticed_becomes_that_room() -> None:
     toy = Toy(np.array([1.0, 2.0, 0.0]))
     for x in (1.0, 3.0, 8.0, 9.0):
@@ -124,6 +130,13 @@ def test_a_loop_closure_redraws_the_map() -> None:
     assert layer_at(grid, grid.polygon, corners).tolist() == [1, 1, 0]
 
 
+def test_only_what_hangs_on_a_moved_landmark_moves() -> None:
+    toy = drive(Toy(np.array([1.0, 2.0, 0.0])))
+    before = toy.last.grid
+    toy.p_map[8:] += 0.02  # less than half a cell
+    assert (toy.output().grid.label == before.label).all()
+
+
 def test_votes_taken_back_leave_nothing() -> None:
     toy = drive(Toy(np.array([1.0, 2.0, 0.3]), np.array([0.37, 0.11, 0.2])))
     there, back = toy.p_map + np.array([5.03, 2.01]), toy.p_map.copy()
@@ -154,6 +167,14 @@ def test_a_pocket_of_a_completed_room_is_filled(tour: Toy) -> None:
     assert labels_at(toy.output(completed=(1,)).grid, pillar) == [Cell.OCCUPIED]
     p = np.stack([np.arange(-0.9, 33.0, 0.1), np.full(339, 4.9)], axis=1)
     assert (labels_at(toy.output(completed=(0, 1)).grid, p) == Cell.UNKNOWN).all()  # the outside is not a pocket
+
+
+def test_the_version_tells_when_a_cell_changed(tour: Toy) -> None:
+    toy = copy.deepcopy(tour)
+    first = toy.output().grid
+    assert toy.output().grid is first
+    toy.p_map = toy.p_map + 0.3
+    assert toy.output().grid.version > first.version
 
 
 def test_a_beam_without_return_clears_what_the_laser_is_sure_of() -> None:

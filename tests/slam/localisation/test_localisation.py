@@ -153,6 +153,13 @@ def test_a_least_share_of_zero_turns_the_guard_off():
     assert evidence(0.3, NAN, sharp=False, least=0.0).fits  # and nothing is tried again
 
 
+def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
+    guard = PoseGuard(CONFIG, REACH_M, TURN_RAD)
+    guard.lose(anywhere=True)
+    guard.trust()
+    assert np.isfinite(guard.slack()).all()
+
+
 @pytest.mark.parametrize(
     ("landmarks", "anywhere", "after"),
     [(3, False, 8), (4, False, 40), (7, False, 40), (8, False, math.inf), (3, True, math.inf)],

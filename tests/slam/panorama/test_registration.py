@@ -189,6 +189,14 @@ def test_alignment_is_that_of_the_plain_twin(seed):
     assert np.allclose(T, motion, atol=0.02)
 
 
+def test_with_too_few_pairs_none_is_paired():
+    rng = np.random.default_rng(0)
+    past, now = surfaces(rng, 100), surfaces(rng, 30)
+    start = np.array([9.0, 0.0, 0.0])
+    _, _, meets = align(past, index_of(past[0]), now, start, (start, np.eye(3)), (0.5, 0.05), (0.7, 10))
+    assert not meets.any()
+
+
 def test_points_on_floor_that_was_seen_free_are_counted():
     rng, bearings = np.random.default_rng(0), np.linspace(-1.5, 1.5, 181)
     ranges, points, alone = rng.uniform(1.0, 5.0, 181), 3.0 * rng.normal(size=(500, 2)), rng.random(500) < 0.7

@@ -350,6 +350,13 @@ def test_a_gap_where_a_door_was_joins_the_same_rooms():
     assert keeper.graph().rooms == (0, 1)
 
 
+def test_a_candidate_where_a_door_was_leads_into_the_known_room():
+    keeper = without_door()
+    gap(keeper, 1.5, times=1, confirmable=False)
+    assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
+    assert [door.rooms for door in keeper.door_map.doors] == [(1, 0)]
+
+
 def test_a_door_passed_before_it_was_seen_again_leads_into_the_known_room():
     keeper = without_door()
     assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 1]
