@@ -10,7 +10,7 @@ import pytest
 
 from mecp_env.core.se2 import compose, to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
-from mecp_env.planning.controller import coast, follow, near_points, safe_command, seen_points
+from mecp_env.planning.controller import coast, follow, look_ahead, near_points, safe_command, seen_points
 from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
 from mecp_env.planning.navigator import (
@@ -226,3 +226,10 @@ def test_points_seen_are_those_near_in_the_frame_of_the_robot() -> None:
     assert np.hypot(*near.T).max() <= 2.1
     for points in (near, seen_points(mounted, CONTROL, T_robot_laser)):
         assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
+
+
+def test_look_ahead_is_on_the_path_and_counts_what_is_left() -> None:
+    path, pose = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]), np.array([0.6, 0.1, 2.0])
+    x, y, left = look_ahead(path, pose, 0.6)
+    assert to_map(pose, np.array([[x, y]]))[0] == pytest.approx([1.0, 0.2])
+    assert left == pytest.approx(2.4)

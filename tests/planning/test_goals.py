@@ -8,7 +8,7 @@ import pytest
 
 from mecp_env.core.se2 import to_map
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
-from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms
+from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, far_apart, near_lines
 from mecp_env.planning.goal_sources import (
     GoalContext,
     barriers,
@@ -64,6 +64,19 @@ def in_world(toy: Toy, p_map: np.ndarray) -> np.ndarray:
 @pytest.fixture(params=[np.zeros(3), np.array([2.0, -1.0, 2.5])])
 def toy(request: pytest.FixtureRequest) -> Toy:
     return Toy(np.array([1.0, 2.0, 0.0]), request.param)
+
+
+def test_cells_near_lines_are_those_within_the_margin() -> None:
+    rng, shape, margin = np.random.default_rng(0), (30, 40), 2.3
+    ends = rng.uniform(-4.0, 44.0, (6, 2, 2))
+    ends[4, 1], ends[5] = ends[4, 0], np.nan  # a point, and a door without its jambs
+    cells = np.stack(np.meshgrid(np.arange(40), np.arange(30)), axis=-1) + 0.5
+    near = np.zeros(shape, np.bool_)
+    for a, b in ends[:5]:
+        along = ((cells - a) @ (b - a)) / max((b - a) @ (b - a), 1e-9)
+        near |= np.linalg.norm(a + np.clip(along, 0.0, 1.0)[..., None] * (b - a) - cells, axis=-1) < margin
+    assert near.any()
+    np.testing.assert_array_equal(near_lines(shape, ends, margin), near)
 
 
 def test_an_open_edge_has_a_goal_beyond_its_middle_until_a_polygon_closes_it(toy: Toy) -> None:
@@ -294,6 +307,17 @@ def test_levels_of_polygons_are_those_of_their_graph(seed: int) -> None:
         expected = levels_from(start, beside)
         assert levels.tolist() == [expected.get(k, len(whole)) for k in range(len(whole))]
     assert all(len(none) == 0 for none in polygon_levels([], belief, None))
+
+
+def test_places_are_apart_from_all_taken_before() -> None:
+    places = np.random.default_rng(4).uniform(0.0, 4.0, size=(60, 2))
+    taken: list[int] = []
+    for i, place in enumerate(places):
+        if all(np.hypot(*(place - places[k])) > 0.7 for k in taken):
+            taken.append(i)
+    assert far_apart(places, 0.7).tolist() == taken
+    assert 5 < len(taken) < 50
+    assert far_apart(np.empty((0, 2)), 0.7).tolist() == []
 
 
 def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:

@@ -12,6 +12,7 @@ from mecp_env.planning.goals import GoalHistory
 from mecp_env.planning.known_ground import (
     Surroundings,
     correct_pose,
+    drive_on,
     in_sight,
     landmark_information,
     offered_goals,
@@ -130,6 +131,18 @@ REACH_M = 0.5
 def covariance(seed: int, scale: float = 0.1) -> np.ndarray:
     root = np.random.default_rng(seed).normal(size=(3, 3)) * scale
     return root @ root.T
+
+
+def test_a_drive_is_the_textbook_prediction() -> None:
+    P, dx, dy, turn = covariance(0), 0.3, -0.7, 0.4
+    F = np.array([[1.0, 0.0, -dy], [0.0, 1.0, dx], [0.0, 0.0, 1.0]])
+    length, noise = math.hypot(dx, dy), PREDICTION.numbers
+    path = length + 0.5 * turn / (0.5 * math.pi)
+    ahead = np.array([dx, dy, 0.0]) / length
+    Q = 0.05**2 * path * np.outer(ahead, ahead) + np.diag([0.0, 0.0, math.radians(2.0) ** 2 * path])
+    expected = F @ P @ F.T + Q
+    drive_on(P, dx, dy, turn, noise)
+    assert np.allclose(P, expected, rtol=1e-12)
 
 
 def test_a_landmark_corrects_as_the_textbook_update_does() -> None:

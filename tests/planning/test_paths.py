@@ -73,6 +73,18 @@ def test_the_field_is_dijkstra(seed: int) -> None:
         assert length == (stride == 1).sum() * 10 + (stride == 2).sum() * 14
 
 
+@pytest.mark.parametrize("seed", range(3))
+def test_the_nearest_reached_cell_is_that_of_all_cells(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    total = np.where(rng.random((30, 20)) < 0.5, rng.integers(0, 10**5, (30, 20)), grid_paths.FAR).astype(np.int32)
+    row, column = np.indices(total.shape)
+    for x, y, reach in rng.uniform((-2.0, -2.0, 0.2), (22.0, 32.0, 4.0), (200, 3)):
+        far = np.hypot(column + 0.5 - x, row + 0.5 - y) + 1e-9 * total
+        best = np.unravel_index(np.where(total < grid_paths.FAR, far, math.inf).argmin(), total.shape)
+        expected = best if total[best] < grid_paths.FAR and far[best] < reach else (-1, -1)
+        assert grid_paths.nearest_reached(total, x, y, reach) == expected
+
+
 def trace_back(step: np.ndarray, row: int, column: int) -> np.ndarray:
     """(n,2) the cells, row and column, from the source to a reached cell."""
     cells = [(row, column)]
