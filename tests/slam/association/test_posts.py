@@ -3,10 +3,14 @@
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.messages import CornerKind, Decision, FeatureState
+from mecp_env.slam.association.gating import MatchBuilder
+from mecp_env.slam.association.paper import PostsApart
+from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
+from tests.slam.drives import Given
 
 JAMB = int(CornerKind.JAMB)
 
@@ -41,6 +45,33 @@ def test_posts_in_the_filter_change_no_other_estimate(drive):
     after = pipeline.filter.belief()
     np.testing.assert_allclose(after.T_map_robot, output.belief.T_map_robot, atol=1e-9)
     np.testing.assert_allclose(after.pose_cov, output.belief.pose_cov, atol=1e-12)
+
+
+def test_the_other_associator_sees_no_posts_and_its_decisions_come_back_for_the_right_corners():
+    """Landmarks 1 and 3 are posts, corner 1 is one; a corner that is none is named only as a post."""
+    points, R = np.array([(4.0, 3.0), (-3.0, 4.0), (-5.0, -2.0), (3.0, -4.0), (6.0, -1.0)]), 1e-4 * np.eye(10)
+    estimate = make_filter(FilterConfig())
+    estimate.augment(make.polar(points), R, np.arange(5))
+    corners = make.corners(points=points, cov=R, kind=[0, JAMB, 0, 0, 0])
+    table = make.features(5, state=FeatureState.LANDMARK, kind=[0, JAMB, 0, JAMB, 0])
+    view = make.view(estimate.belief(), table, corners, make.graph(UNKNOWN_ROOM, ()), [(0, 2, 4), (0, 1, 2)])
+    config, rings = AssociationConfig(use_posts=False, use_rooms=False, use_descriptor=False), [(0, 1, 2), (0, 2, 4)]
+
+    def first_corner(seen, polygons, shown, belief):
+        np.testing.assert_array_equal(seen.z, corners.z[[0, 2, 3, 4]])
+        assert [polygon.corners.tolist() for polygon in polygons] == [[0, 1, 3]]
+        assert shown.belief.ids.tolist() == belief.ids.tolist() == [0, 2, 4]
+        assert shown.groups[3].ids.tolist() == [[0, 2, 4]]
+        builder = MatchBuilder(4)
+        builder.assign(0, Decision.LANDMARK, Reason.POLYGON, 0, 2.5)
+        builder.polygon, builder.map_polygon = 0, 7
+        return builder.match()
+
+    match = PostsApart(Given(first_corner), config).associate(corners, tuple(map(make.polygon, rings)), view, estimate)
+    assert (match.polygon, match.known, match.nis[0]) == (1, 7, 2.5)
+    assert match.ids.tolist() == [0, 1, -1, 3, -1]
+    named = [Decision.LANDMARK, Decision.PROVISIONAL, Decision.NEW, Decision.PROVISIONAL, Decision.NEW]
+    assert match.decision.tolist() == named
 
 
 def test_the_papers_mode_leaves_posts_out():
