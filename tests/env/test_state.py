@@ -100,6 +100,15 @@ def test_set_state_names_the_field_that_is_damaged_and_changes_nothing():
         assert same(env.get_state(), before)
 
 
+def test_a_door_that_a_wall_fills_is_part_of_a_state():
+    """Its outline is nan: such a state was refused once."""
+    env = started()
+    episode_of(env).pipeline.grid.doors.quads = np.full((1, 4, 2), np.nan)
+    state = env.get_state()
+    env.set_state(state)
+    assert same(env.get_state(), state)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(10))
 def test_a_random_state_and_its_map_are_restored(number: int) -> None:
