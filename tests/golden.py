@@ -70,81 +70,51 @@ MakeEnv = Callable[[], gymnasium.Env]
 Drive = Callable[[MakeEnv], Hashes]
 
 
-def _scripted_action(step: int) -> np.ndarray:
-    return np.array([0.6, 0.4 * math.sin(0.05 * step)], np.float32)
+def choices(kind: str, rng: np.random.Generator) -> Callable[[int, Any, gymnasium.Env], Any]:
+    """The action of a kind of drive for a step, an observation and an environment."""
+    policy, held = BreadthFirst(), np.zeros(2, np.float32)
+
+    def choose(step: int, observation: Any, env: gymnasium.Env) -> Any:
+        nonlocal held
+        if kind == "scripted":  # slow turns to the left and right, whatever is ahead
+            return np.array([0.6, 0.4 * math.sin(0.05 * step)], np.float32)
+        if kind == "discrete":  # each in turn, held for three steps, forward most often
+            return (1, 3, 1, 1, 4, 1, 0, 2)[step // 3 % 8]
+        if kind == "random":  # each velocity is held for eight steps, so that the robot runs into walls
+            held = held if step % 8 else rng.uniform((-0.4, -0.6), (1.0, 0.6)).astype(np.float32)
+            return held
+        mask = env.get_wrapper_attr("action_masks")()
+        return policy.act(observation, mask) if kind == "breadth first" else int(np.argmax(mask))
+
+    return choose
 
 
-def _continue(env: gymnasium.Env, recorder: Recorder, steps: range) -> None:
-    for step in steps:
-        _, _, terminated, truncated, _ = recorder.step(env, _scripted_action(step))
-        if terminated or truncated:
-            recorder.reset(env)
-
-
-def scripted(make: MakeEnv, steps: int = 150) -> Hashes:
-    """Slow turns to the left and right, whatever is ahead."""
-    env, recorder = make(), Recorder()
-    recorder.reset(env, SEED)
-    _continue(env, recorder, range(steps))
-    return recorder.hashes(env)
-
-
-def random_walk(make: MakeEnv, steps: int) -> Hashes:
-    """Random velocities, each held for eight steps, so that the robot runs into walls."""
-    env, recorder, rng = make(), Recorder(), np.random.default_rng(SEED)
-    recorder.reset(env, SEED)
-    for step in range(steps):
-        if step % 8 == 0:
-            action = rng.uniform((-0.4, -0.6), (1.0, 0.6)).astype(np.float32)
-        recorder.step(env, action)
-    assert env.unwrapped.summary()["contacts"] > 0
-    return recorder.hashes(env)
-
-
-def discrete(make: MakeEnv, steps: int = 150) -> Hashes:
-    """Each of the five discrete actions in turn, held for three steps, forward most often."""
-    env, recorder = make(), Recorder()
-    recorder.reset(env, SEED)
-    for step in range(steps):
-        recorder.step(env, (1, 3, 1, 1, 4, 1, 0, 2)[step // 3 % 8])
-    return recorder.hashes(env)
-
-
-def breadth_first(make: MakeEnv, decisions: int | None = None) -> Hashes:
-    """Goals in the order of `BreadthFirst`, until no goal is left or for so many decisions."""
-    env, recorder, policy = make(), Recorder(), BreadthFirst()
-    observation, terminated, truncated = recorder.reset(env, SEED), False, False
-    for decision in count():
-        if terminated or truncated or decision == decisions:
+def drive(make: MakeEnv, kind: str = "scripted", steps: int | None = 150) -> Hashes:
+    """So many steps of a kind, over the ends of episodes; or one episode until it is complete."""
+    env, recorder, choose = make(), Recorder(), choices(kind, np.random.default_rng(SEED))
+    observation = recorder.reset(env, SEED)
+    for step in count() if steps is None else range(steps):
+        observation, _, terminated, truncated, _ = recorder.step(env, choose(step, observation, env))
+        if steps is None and terminated:
             break
-        action = policy.act(observation, env.get_wrapper_attr("action_masks")())
-        observation, _, terminated, truncated, _ = recorder.step(env, action)
-    assert terminated or decisions is not None
-    return recorder.hashes(env)
-
-
-def first_goals(make: MakeEnv, decisions: int) -> Hashes:
-    """The first valid goal, `decisions` times."""
-    env, recorder = make(), Recorder()
-    recorder.reset(env, SEED)
-    for _ in range(decisions):
-        action = int(np.argmax(env.get_wrapper_attr("action_masks")()))
-        _, _, terminated, truncated, _ = recorder.step(env, action)
-        assert not terminated
-        assert not truncated
+        if terminated or truncated:
+            observation = recorder.reset(env)
+    assert kind != "random" or env.unwrapped.summary()["contacts"] > 0
     return recorder.hashes(env)
 
 
 def snapshot(make: MakeEnv, steps: int) -> Hashes:
     """A scripted drive continued from a snapshot in a new environment, which gives what the first one gives."""
-    env, again = make(), make()
-    before, here, there = Recorder(), Recorder(), Recorder()
-    before.reset(env, SEED)
-    _continue(env, before, range(steps))
+    (env, again), here, there = (make(), make()), Recorder(), Recorder()
+    choose = choices("scripted", np.random.default_rng(SEED))
+    env.reset(seed=SEED)
+    for step in range(steps):
+        env.step(choose(step, None, env))
     again.reset(seed=SEED + 1)
     again.unwrapped.set_state(env.unwrapped.get_state())
-    _continue(env, here, range(steps, 2 * steps))
-    _continue(again, there, range(steps, 2 * steps))
+    for one, recorder in ((env, here), (again, there)):
+        for step in range(steps, 2 * steps):
+            recorder.step(one, choose(step, None, one))
     assert there.hashes(again) == here.hashes(env)
     return there.hashes(again)
 
@@ -155,7 +125,7 @@ class Case:
 
     env_id: str
     keywords: dict[str, Any] = field(default_factory=dict)
-    drive: Drive = scripted
+    drive: Drive = drive
 
     def make(self, folder: Path) -> gymnasium.Env:
         """A new environment; the plan of `FloorPlan-v0` is written to `folder`."""
@@ -171,9 +141,12 @@ PUSHED = {"crowd": {"people": 12, "polite": False}, "clutter": {"movable_boxes":
 GOALS = {"actions": "goal"}
 
 
+FIRST_GOALS = partial(drive, kind="first goal", steps=12)
+
+
 def _explored(**keywords: Any) -> Case:
     """The first rooms of the paper's building, breadth first."""
-    return Case(PAPER_MAP, GOALS | keywords, partial(breadth_first, decisions=15))
+    return Case(PAPER_MAP, GOALS | keywords, partial(drive, kind="breadth first", steps=15))
 
 
 CASES = {
@@ -181,12 +154,12 @@ CASES = {
     "two_rooms_1_cm": Case(LAYOUT, TWO_ROOMS | QUICK),
     "two_rooms_urg04lx": Case(LAYOUT, TWO_ROOMS | REAL),
     "paper_to_the_letter": Case(LAYOUT, {"config": EnvConfig.paper().to_dict()} | TWO_ROOMS),
-    "breadth_first": Case(LAYOUT, TWO_ROOMS | GOALS, breadth_first),
-    "breadth_first_paper_map": Case(PAPER_MAP, GOALS, breadth_first),
-    "first_goals": Case(PAPER_MAP, GOALS, partial(first_goals, decisions=12)),
+    "breadth_first": Case(LAYOUT, TWO_ROOMS | GOALS, partial(drive, kind="breadth first", steps=None)),
+    "breadth_first_paper_map": Case(PAPER_MAP, GOALS, partial(drive, kind="breadth first", steps=None)),
+    "first_goals": Case(PAPER_MAP, GOALS, FIRST_GOALS),
     "people_and_clutter": Case(ROOMS, {"difficulty": "medium", "split": "test"} | MOVERS),
-    "people_and_goals": Case(ROOMS, {"difficulty": "hard"} | GOALS | MOVERS, partial(first_goals, decisions=12)),
-    "pushed": Case(ROOMS, {"difficulty": "easy"} | PUSHED, partial(random_walk, steps=200)),
+    "people_and_goals": Case(ROOMS, {"difficulty": "hard"} | GOALS | MOVERS, FIRST_GOALS),
+    "pushed": Case(ROOMS, {"difficulty": "easy"} | PUSHED, partial(drive, kind="random", steps=200)),
     "floor_plan": Case(FLOOR_PLAN, {"start": "random", "observation": {"map": True, "scan": True}}),
     "ekf": _explored(slam={"filter": {"kind": "ekf"}}),
     "fej": _explored(slam={"filter": {"kind": "fej"}}),
@@ -195,8 +168,8 @@ CASES = {
     "mecp_paper": _explored(slam={"association": {"method": "mecp_paper"}}),
     "known": _explored(estimator="known"),
     "truth": _explored(estimator="truth"),
-    "random_walk": Case(PAPER_MAP, drive=partial(random_walk, steps=300)),
-    "discrete": Case(LAYOUT, TWO_ROOMS | {"actions": "discrete"}, discrete),
+    "random_walk": Case(PAPER_MAP, drive=partial(drive, kind="random", steps=300)),
+    "discrete": Case(LAYOUT, TWO_ROOMS | {"actions": "discrete"}, partial(drive, kind="discrete")),
     "snapshot": Case(ROOMS, {"difficulty": "medium"} | MOVERS, partial(snapshot, steps=60)),
 }
 

@@ -3,8 +3,7 @@
 Each mutant changes one rule of a function below `mecp_env/slam`: a comparison, a connective, a sign, a constant, a
 condition. It is written into a copy of the tree, where the tests of its folder run, and then those of the pipeline, up
 to the first that fails. Functions stay compiled: those that call the mutated one are compiled again, all others come
-from a cache. Results are kept in a folder, so that the same command continues after a kill; `--again` runs the
-survivors again, with the tests as they are now.
+from a cache. Results are kept in a folder, so that the same command continues after a kill.
 """
 
 import argparse
@@ -272,8 +271,7 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m tests.mutants", description=(__doc__ or "").split("\n\n")[0])
     parser.add_argument("--count", type=int, default=200, help="how many, of all in random order")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--again", action="store_true", help="run the survivors again")
-    parser.add_argument("--only", default="", help="mutants whose description contains this, whatever their number")
+    parser.add_argument("--only", default="", help="run again all mutants whose description contains this")
     given = parser.parse_args()
     os.environ |= {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1", "MPLBACKEND": "Agg"}
     for library in LIBRARIES:
@@ -282,11 +280,10 @@ def main() -> int:
     copy_tree(tree)
     results = {one["mutant"]: one for one in map(json.loads, kept.read_text().splitlines())} if kept.exists() else {}
     chosen = [one for one in drawn(ROOT, given.seed) if given.only in one.name]
-    chosen = chosen if given.only else chosen[: given.count]
-    sound = set[str]() if given.again else {name for name in results if name.startswith(str(TESTS))}
+    chosen, sound = chosen if given.only else chosen[: given.count], set[str]()
     for mutant in chosen:
-        before, tests = results.get(mutant.name), tests_of(mutant.file)
-        if not before or (given.again and before["end"] == "survived"):
+        tests = tests_of(mutant.file)
+        if given.only or mutant.name not in results:
             if tests[0] not in sound:  # compiles all functions, too
                 keep(kept, results, tests[0], *outcome(tree, tests, (), resource.RLIM_INFINITY))
                 sound.add(tests[0])

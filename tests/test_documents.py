@@ -45,13 +45,11 @@ def test_links_and_paths_lead_somewhere(document: Path) -> None:
 def test_decisions_have_their_parts_and_a_row_in_the_index() -> None:
     index = (ROOT / "docs/decisions/README.md").read_text()
     records = sorted((ROOT / "docs/decisions").glob("0*.md"))
-    assert len(index.split()) <= 250
     assert [path.name[:4] for path in records] == [f"{number:04}" for number in range(1, len(records) + 1)]
     for path in records:
         text = path.read_text()
         title = text.partition("\n")[0].removeprefix("# ")
         assert f"| [{title}]({path.name}) |" in index, path.name
-        assert len(text.split()) <= 150, path.name
         assert re.findall(r"^\*\*(\w+)\.\*\*", text, re.MULTILINE) == ["Context", "Decision", "Evidence", "Consequence"]
 
 

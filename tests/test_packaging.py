@@ -28,15 +28,6 @@ def test_the_wheel_contains_weights_and_layouts_and_nothing_but_the_package(tmp_
         assert not [path for path in below if str(path.relative_to(ROOT)) not in names]
 
 
-def test_the_images_of_the_readme_get_the_address_from_one_setting() -> None:
-    hooks = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["hatch"]["metadata"]["hooks"]
-    (setting,) = hooks["fancy-pypi-readme"]["substitutions"]
-    readme = (ROOT / "README.md").read_text()
-    images = re.findall(r"!\[.*?\]\((.+?)\)", readme)
-    built = re.sub(setting["pattern"], setting["replacement"] + "https://address/", readme)
-    assert re.findall(r"!\[.*?\]\((.+?)\)", built) == [f"https://address/{image}" for image in images]
-
-
 def test_the_adapter_without_its_extra_names_the_remedy(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "stable_baselines3.common.env_util", None)
     monkeypatch.delitem(sys.modules, "mecp_env.learning.sb3_batch", raising=False)

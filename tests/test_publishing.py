@@ -2,10 +2,8 @@
 
 import hashlib
 import json
-from typing import Any
 
 import gymnasium
-import pytest
 import yaml
 
 import mecp_env  # noqa: F401  (registers the environments)
@@ -15,13 +13,11 @@ from tests.command_lines import ROOT
 PUBLISHING = ROOT / "publishing"
 
 
-def described() -> dict[str, Any]:
-    content: dict[str, Any] = json.loads((PUBLISHING / "croissant.json").read_text())
-    return content
+DESCRIBED = json.loads((PUBLISHING / "croissant.json").read_text())
 
 
 def test_the_dataset_description_has_the_frozen_benchmarks_of_this_version() -> None:
-    named = {part["name"]: part["data"] for part in described()["recordSet"]}
+    named = {part["name"]: part["data"] for part in DESCRIBED["recordSet"]}
     assert [record["splits/name"] for record in named["splits"]] == ["train", "validation", "test"]
     expected = [
         (name, setting.name, setting.split, suite.episodes, setting.max_steps, suite.frozen)
@@ -34,16 +30,15 @@ def test_the_dataset_description_has_the_frozen_benchmarks_of_this_version() -> 
 
 
 def test_the_described_files_are_those_in_the_package() -> None:
-    files = {part["@id"]: part for part in described()["distribution"]}
+    files = {part["@id"]: part for part in DESCRIBED["distribution"]}
     assert set(files) == {"active-v1.json", "coverage-v1.json"}
     for part in files.values():
         assert hashlib.sha256((ROOT / part["contentUrl"]).read_bytes()).hexdigest() == part["sha256"]
 
 
-@pytest.mark.parametrize("env_id", ["mecp_env/First-v0", "mecp_env/Rooms-v0", "mecp_env/ActiveHalls-v0"])
-def test_the_hyperparameters_of_the_zoo_name_environments_of_flat_vectors(env_id: str) -> None:
-    fields = yaml.safe_load((PUBLISHING / "rl_zoo3.yml").read_text())[env_id]
-    env = gymnasium.make(env_id, **fields.get("env_kwargs", {}))
-    assert isinstance(env.observation_space, gymnasium.spaces.Box)
-    assert isinstance(env.action_space, gymnasium.spaces.Discrete)
-    env.close()
+def test_the_hyperparameters_of_the_zoo_name_environments_of_flat_vectors() -> None:
+    named = yaml.safe_load((PUBLISHING / "rl_zoo3.yml").read_text())
+    for env_id in ("mecp_env/First-v0", "mecp_env/Rooms-v0", "mecp_env/ActiveHalls-v0"):
+        env = gymnasium.make(env_id, **named[env_id].get("env_kwargs", {}))
+        assert isinstance(env.observation_space, gymnasium.spaces.Box)
+        assert isinstance(env.action_space, gymnasium.spaces.Discrete)

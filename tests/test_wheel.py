@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from tests.learning.training import QUICK, write_config
-
 ROOT = Path(__file__).parent.parent
 LEARNS = importlib.util.find_spec("torch") is not None
 needs_torch = pytest.mark.skipif(not LEARNS, reason="the extra `rl` is not installed")
@@ -58,12 +56,3 @@ def test_a_demo_of_the_package_of_the_wheel_has_its_replay(home: Path) -> None:
 @needs_torch
 def test_the_trained_policy(home: Path) -> None:
     assert "coverage" in call(home, "mecp-env", "explore", "maskable_ppo", "--difficulty", "easy", "--steps", "3")
-
-
-@needs_torch
-def test_training_and_the_adapter(home: Path) -> None:
-    few = {"env": QUICK["env"] | {"max_steps": 5}, "ppo": QUICK["ppo"] | {"steps": 2, "batch": 2}}
-    write_config(home / "quick.json", steps=2, environments=1, log={"evaluate_buildings": 0}, **few)
-    code = "from mecp_env.learning.sb3_batch import SB3Batch; from mecp_env.cli.main import main; exit(main())"
-    call(home, "python", "-c", code, "train", "maskable_ppo", "--config", "quick.json", "--out", "trained")
-    assert (home / "trained/policy.json").exists()

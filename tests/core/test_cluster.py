@@ -2,8 +2,6 @@
 
 import json
 import os
-import signal
-import socket
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -23,8 +21,7 @@ from mecp_env.core.work_units import (
 )
 
 ROOT = Path(__file__).parents[2]
-HERE, HEAD, OTHER = "127.0.0.1", "127.0.0.2", "127.0.0.3"  # all loopback; Ray takes the first for the outer address
-MOST_S = 90  # for a cluster that hangs; on a free machine all tests take less than 40 s
+HEAD, OTHER = "127.0.0.2", "127.0.0.3"  # loopback; Ray takes 127.0.0.1 for the outer address
 
 
 @pytest.fixture(scope="module")
@@ -46,20 +43,6 @@ def two_nodes() -> Iterator[str]:
         patch.undo()
 
 
-@pytest.fixture
-def bounded() -> Iterator[None]:
-    """An alarm for a test that waits for ever."""
-
-    def ring(*_: object) -> None:
-        raise TimeoutError(f"more than {MOST_S} s")
-
-    before = signal.signal(signal.SIGALRM, ring)
-    signal.alarm(MOST_S)
-    yield
-    signal.alarm(0)
-    signal.signal(signal.SIGALRM, before)
-
-
 def root(number: int) -> dict[str, Any]:
     """A square root with the process that found it; negative numbers fail, and 13 ends its process."""
     if number == 13:
@@ -70,7 +53,6 @@ def root(number: int) -> dict[str, Any]:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("bounded")
 def test_a_failed_unit_does_not_end_the_others(two_nodes: str) -> None:
     results = dict(run_on_cluster(root, [4, -1, 13, 9, 16, 25, 36], two_nodes))
     failed = {number: result for number, result in results.items() if isinstance(result, FailedUnit)}
@@ -86,7 +68,6 @@ def test_a_failed_unit_does_not_end_the_others(two_nodes: str) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.usefixtures("bounded")
 def test_an_evaluation_on_the_cluster_is_that_of_this_machine(two_nodes: str, tmp_path: Path) -> None:
     line = ["evaluate", "nearest", "--episodes", "2", "--max-steps", "20", "--no-truth", "--difficulty", "easy"]
     for name, where in (("cluster", ["--cluster", two_nodes]), ("here", [])):
@@ -97,22 +78,15 @@ def test_an_evaluation_on_the_cluster_is_that_of_this_machine(two_nodes: str, tm
     assert json.dumps(rows[0]) == json.dumps(rows[1])
 
 
-@pytest.mark.parametrize("address", ["auto", "ray://127.0.0.1:10001", "127.0.0.1:0", "a:99999", "x y:1"])
+@pytest.mark.parametrize("address", ["auto", "ray://127.0.0.1:10001", "127.0.0.1:0"])
 def test_only_the_address_of_a_running_cluster_is_taken(address: str) -> None:
     with pytest.raises(ConfigError, match=r"cluster: .*, expected HOST:PORT"), connected(address):
         pass
 
 
-def test_nothing_is_started_where_no_cluster_answers() -> None:
-    pytest.importorskip("ray", reason="the extra `cluster` is not installed")
-    address = f"{HERE}:{closed_port()}"
-    with pytest.raises(ConfigError, match=f"cluster: no Ray cluster at {address}"), connected(address):
-        pass
-
-
 def test_without_ray_the_extra_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "ray", None)
-    with pytest.raises(ConfigError, match="Ray is not installed; the extra `cluster` has it"), connected(f"{HERE}:1"):
+    with pytest.raises(ConfigError, match="Ray is not installed; the extra `cluster` has it"), connected("127.0.0.1:1"):
         pass
 
 
@@ -122,17 +96,3 @@ def test_a_node_says_in_one_line_what_failed_and_refuses_the_work_with_other_cod
     failed = attempt(root, 4, code_of(root) | {"numpy": "0.1"})
     assert failed.reason.startswith("ConfigError: cluster: a node has numpy ")
     assert ", not 0.1 (attempt, line" in failed.reason
-
-
-def test_evaluate_refuses_jobs_beside_a_cluster(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    line = ["evaluate", "nearest", "--jobs", "2", "--cluster", f"{HERE}:1", "--out", str(tmp_path / "out")]
-    assert cli.main(line) == 2
-    assert "--jobs 2: --cluster 127.0.0.1:1 fixes it; leave out one of the two" in capsys.readouterr().err
-    assert not (tmp_path / "out").exists()
-
-
-def closed_port() -> int:
-    """A port of this machine on which nothing listens."""
-    with socket.socket() as one:
-        one.bind((HERE, 0))
-        return int(one.getsockname()[1])

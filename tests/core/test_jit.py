@@ -1,11 +1,9 @@
-"""The cache of compiled functions: stale, damaged, full, unwritable, switched off; each in a process of its own."""
+"""The cache of compiled functions: stale, damaged, unwritable, switched off; each in a process of its own."""
 
-import hashlib
 import math
 import os
 import shutil
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -93,25 +91,9 @@ def test_an_edit_of_any_source_file_is_noticed(tree: Tree) -> None:
     assert tree.call() == (math.inf, 0)
 
 
-def test_after_a_failed_compilation_the_next_one_is_kept(tree: Tree) -> None:
-    code = "import numba, pytest\nwith pytest.raises(numba.TypingError): caller('text')\n"
-    assert tree.call(IMPORT + code + CALL)[0] == 4.0
-    assert tree.call() == LOADED
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("pattern", "damage"),
-    [
-        ("*.nbi", "zeros"),  # of the same size as before
-        ("*.nbc", "zeros"),
-        ("*.nbi", "gone"),
-        ("*.nbc", "gone"),
-        ("checksum", "empty"),
-        ("checksum", "gone"),
-        ("*.nb?", "truncated"),
-        ("*.nb?", "garbage"),
-    ],
+    ("pattern", "damage"), [("*.nbi", "zeros"), ("*.nbc", "gone"), ("checksum", "empty"), ("*.nb?", "truncated")]
 )
 def test_what_is_damaged_is_compiled_again_and_mended(tree: Tree, pattern: str, damage: str) -> None:
     tree.call()
@@ -127,37 +109,21 @@ def spoil(path: Path, damage: str) -> None:
     content = path.read_bytes()
     third = len(content) // 3
     zeros = content[:third] + bytes(third + 1) + content[2 * third + 1 :]
-    garbage = hashlib.sha256(content).digest() * (len(content) // 32 + 1)
-    path.write_bytes({"truncated": content[:third], "zeros": zeros, "garbage": garbage}.get(damage, b""))
+    path.write_bytes({"truncated": content[:third], "zeros": zeros}.get(damage, b""))
     if damage == "gone":
         path.unlink()
 
 
-def test_what_another_type_left_under_the_same_name_is_not_used(tree: Tree) -> None:
-    """Two processes that save at the same time may choose the same name."""
-    whole = CALL.replace("(1.0)", "(1)")
-    tree.call()
-    tree.call(whole)
-    (folder,) = {path.parent for path in tree.files("caller*.nbc")}
-    first, second = sorted(folder.glob("*.nbc"))
-    shutil.copy(first, second)
-    content = b"".join(path.read_bytes() for path in sorted(folder.glob("*.nb?")))
-    (folder / "checksum").write_bytes(hashlib.sha256(content).digest())
-    assert tree.call(whole)[0] == 4.0
-    assert tree.call()[0] == 4.0
-
-
-@pytest.mark.parametrize("place", ["nowhere", "a file"])
-def test_a_folder_that_cannot_be_written_is_said_and_survived(tree: Tree, place: str) -> None:
+def test_a_folder_that_cannot_be_written_is_said_and_survived(tree: Tree) -> None:
     tree.cache.touch()
-    value, said = tree.run(CALL, NUMBA_CACHE_DIR=str(tree.cache / place if place == "nowhere" else tree.cache))
+    value, said = tree.run()
     assert value[0] == 4.0
     assert "no cache in" in said
     assert said.count("\n") == 1
 
 
 @pytest.mark.skipif(os.name != "posix", reason="rights of POSIX")
-@pytest.mark.parametrize(("mode", "used"), [(0o777, False), (0o757, False), (0o1777, True), (0o700, True)])
+@pytest.mark.parametrize(("mode", "used"), [(0o777, False), (0o1777, True), (0o700, True)])
 def test_a_place_where_another_user_can_put_files_is_not_used(tree: Tree, mode: int, used: bool) -> None:
     """In a shared temporary folder only the owner of a file removes it."""
     tree.cache.mkdir()
@@ -173,23 +139,6 @@ def test_without_numba_cache_dir_the_cache_is_in_the_users_own_directory(tree: T
     assert not list(tree.package.rglob("*.nb?"))
     if os.name == "posix":
         assert (tmp_path / "own" / "mecp_env_functions").stat().st_mode & 0o022 == 0
-
-
-def test_a_full_disk_costs_time_only(tree: Tree) -> None:
-    """Every write of more than 100 bytes fails."""
-    limit = "import resource, signal; signal.signal(signal.SIGXFSZ, signal.SIG_IGN); "
-    limit += "resource.setrlimit(resource.RLIMIT_FSIZE, (100, 100))\n"
-    for _ in range(2):
-        assert tree.call(limit + CALL)[0] == 4.0
-    assert not tree.files("*.nbc*")
-    assert tree.call() == COMPILED
-
-
-def test_a_folder_that_goes_costs_time_only(tree: Tree) -> None:
-    for moment in ("", "print(end='')\nassert caller(1.0) == 4.0\n"):  # before and after the first call
-        remove = f"import shutil; shutil.rmtree({str(tree.cache)!r})\n"
-        assert tree.call(IMPORT + moment + remove + CALL.replace("(1.0)", "(1)"))[0] == 4.0
-    assert tree.call()[0] == 4.0
 
 
 @pytest.mark.slow
@@ -208,15 +157,6 @@ def test_switched_off_the_functions_are_those_of_python(tree: Tree) -> None:
     code = IMPORT + "print(caller(1.0), int(hasattr(caller, 'stats')))"
     assert tree.call(code, NUMBA_DISABLE_JIT="1") == (4.0, 0)
     assert not tree.files()
-
-
-def test_processes_that_mend_a_damaged_cache_at_the_same_time_get_the_same_result(tree: Tree) -> None:
-    tree.call()
-    for path in tree.files():
-        spoil(path, "truncated")
-    with ThreadPoolExecutor(4) as pool:
-        values = [value for value, _ in pool.map(lambda _: tree.call(), range(4))]
-    assert [*values, tree.call()[0]] == [4.0] * 5
 
 
 FOREIGN = """

@@ -19,7 +19,7 @@ from mecp_env.core.linalg import (
 
 Ints = NDArray[np.int64]
 
-SIZES = [(1, 1, 1), (2, 4, 3), (5, 7, 5), (8, 3, 9), (31, 18, 31), (8, 6, 8)]
+SIZES = [(1, 1, 1), (2, 4, 3), (8, 3, 9), (31, 18, 31)]
 
 
 def all_pairs(m: int) -> Ints:

@@ -29,8 +29,8 @@ def test_a_killed_write_leaves_nothing_after_the_next_start(tmp_path: Path) -> N
     assert {path.name for path in tmp_path.iterdir()} == {"a.json", running.name, elsewhere.name, foreign.name}
 
 
-@pytest.mark.parametrize("name", ["n" * 250 + ".json", "ü" * 120 + ".json"])
-def test_a_name_as_long_as_the_system_allows_is_written(tmp_path: Path, name: str) -> None:
+def test_a_name_as_long_as_the_system_allows_is_written(tmp_path: Path) -> None:
+    name = "ü" * 120 + ".json"
     write_atomic(tmp_path / name, b"whole")
     assert [path.name for path in tmp_path.iterdir()] == [name]
 

@@ -4,7 +4,6 @@ import math
 from functools import cached_property
 from typing import ClassVar
 
-import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
@@ -21,11 +20,9 @@ class Section(Settings):
 
 
 class Derived(Settings):
-    GONE: ClassVar = frozenset({"twice"})
     DERIVED: ClassVar = ("twice",)
 
     once: int = 5
-    inner: Section = Section()
 
     @property
     def twice(self) -> int:
@@ -55,11 +52,6 @@ def test_compiled_functions_read_the_fields_by_name():
     assert set(section.record.dtype.names) == {"width_m", "turn_deg", "turn_rad", "beams", "guard"}
 
 
-def test_degrees_become_radians_as_the_standard_library_has_them():
-    for degrees in np.linspace(-180.0, 180.0, 99).tolist():
-        assert Section(turn_deg=degrees).record["turn_rad"][0] == math.radians(degrees)
-
-
 def test_a_number_that_follows_from_another_is_in_the_record_but_no_field():
     section = Derived(once=7)
     assert section.thrice == 21  # kept from now on, but in no record: its type would depend on what was asked before
@@ -70,12 +62,3 @@ def test_a_number_that_follows_from_another_is_in_the_record_but_no_field():
     assert "twice" not in section.model_dump()
     with pytest.raises(ConfigError, match=r"Derived\.twice: no such field"):
         Derived(twice=3)
-
-
-def test_what_is_gone_is_left_out_of_an_older_file_and_nothing_else():
-    class Outer(Settings):
-        part: Derived = Derived()
-
-    older = {"part": {"once": 6, "twice": 12, "inner": {"twice": 1}}, "twice": 2}
-    assert Outer.without_gone(older) == {"part": {"once": 6, "inner": {"twice": 1}}, "twice": 2}
-    assert Outer.without_gone({"part": 3}) == {"part": 3}

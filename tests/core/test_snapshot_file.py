@@ -1,6 +1,5 @@
-"""Snapshots in files: every value to the last bit, readable without the package, one error for whatever is wrong."""
+"""Snapshots in files: every value to the last bit, one error for whatever is wrong."""
 
-import gc
 import io
 import json
 import os
@@ -16,9 +15,7 @@ import pytest
 from mecp_env.core.snapshot import StateError, decode, encode
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.episode.observations import TravelledPath
-from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.messages import FEATURE, Cell, CornerKind, FeatureTable
-from mecp_env.slam.rooms.doors import RoomLimits
 from mecp_env.world.config import LaserConfig
 from tests.env.helpers import same
 
@@ -46,19 +43,6 @@ def test_values_come_back_to_the_last_bit(path: Path) -> None:
     assert same(decode(load_snapshot(path, KIND)), np.array([1.5, -2.0]))
     with pytest.raises(StateError, match=r"gone\.zip: no such file"):
         load_snapshot(path.with_stem("gone"), KIND)
-
-
-def test_a_reader_needs_json_and_bytes_only(path: Path) -> None:
-    save_snapshot(path, KIND, encode([1, np.array([[1.5, 2.5]])]))
-    with zipfile.ZipFile(path) as archive:
-        content, arrays = json.loads(archive.read("state.json")), archive.read("arrays.bin")
-    assert content == {
-        "format": "mecp_env test",
-        "version": 3,
-        "package": "0.1.0",
-        "state": {"@list": [1, {"@array": [{"@bytes": ["<f8", [1, 2], 0]}, True]}]},
-    }
-    assert np.frombuffer(arrays, "<f8").tolist() == [1.5, 2.5]
 
 
 def test_equal_states_give_equal_files_and_a_failed_save_leaves_the_old_one(
@@ -108,25 +92,19 @@ ZEROS = with_state("{}", bytes(100_000_000))
     ("data", "message"),
     [
         (b"", "no mecp_env test, or cut short"),
-        (b"P5 3 3 255 ", "no mecp_env test, or cut short"),
         (packed({}), r"no mecp_env test: it holds \[\]"),
         (packed({"state.json": b"{"}), "damaged .JSONDecodeError"),
-        (packed({"state.json": b"[]"}), r"format: \[\], expected 'mecp_env test'"),
         (with_content(format="mecp_env map"), "format: 'mecp_env map', expected 'mecp_env test'"),
         (with_content(version=4, package="9.0"), r"version: 4 \(of mecp_env 9\.0\), this mecp_env 0\.1\.0 reads .* 3"),
         (with_content(state={"@bytes": ["<f8", [2], 0]}), "arrays.bin: arrays of more bytes"),
-        (with_content(state={"@bytes": ["<f8", [-1], 0]}), r"array: '<f8' \[-1\] from 0 on"),
         (with_content(state={"@bytes": ["|O", [1], 0]}), r"array: '\|O' \[1\] from 0 on"),
-        (with_content(state={"@bytes": ["<f8", [1], -8]}), r"array: '<f8' \[1\] from -8 on"),
-        (with_content(state={"@bytes": 3}), "damaged .TypeError"),
         (with_state('{"@list": [' + "[]," * 1_000_000 + "[]]}"), "state.json: .* parts, at most"),
-        (with_state('"' + "x" * 10_000_000 + '"'), "state.json: it has"),
         (with_state(f'{{"@list": [{LARGE}, {LARGE}]}}', bytes(8_000_000)), ".* more bytes than there are"),
         (with_state("[" * 100_000 + "]" * 100_000), "damaged .RecursionError"),
         (ZEROS, "arrays.bin: it has"),
         (ZEROS.replace((100_000_000).to_bytes(4, "little"), (1000).to_bytes(4, "little")), ""),  # it hides its size
     ],
-    ids=range(18),
+    ids=range(12),
 )
 def test_whatever_is_wrong_gives_one_error_that_names_the_file(data: bytes, message: str, path: Path) -> None:
     path.write_bytes(data)
@@ -136,11 +114,6 @@ def test_whatever_is_wrong_gives_one_error_that_names_the_file(data: bytes, mess
     assert tracemalloc.get_traced_memory()[1] < 60e6
     tracemalloc.stop()
     assert path.read_bytes() == data
-
-
-def test_what_is_written_can_be_read_however_well_it_packs(path: Path) -> None:
-    save_snapshot(path, KIND, encode(np.zeros(4_000_000)))
-    assert len(decode(load_snapshot(path, KIND))) == 4_000_000
 
 
 def test_what_is_shared_or_read_only_stays_so_cycles_hold_and_a_generator_continues():
@@ -163,7 +136,7 @@ class Foreign:
 
 @pytest.mark.parametrize(
     "value",
-    [print, lambda: 1, Foreign(), object(), np.array([None]), (n for n in "ab")],
+    [print, Foreign(), np.array([None])],
     ids=lambda value: type(value).__name__,
 )
 def test_what_no_state_may_hold_is_refused(value):
@@ -174,9 +147,9 @@ def test_what_no_state_may_hold_is_refused(value):
 
 
 MESSAGES = "mecp_env.slam.messages"
-DAMAGED = [(1, 2), {}, {"@list": [], "@dict": []}, {"list": []}, {"@nothing": 1}, {"@list": 3}, {"@scalar": 3}]
-DAMAGED += [{"@same": number} for number in (3, -1, "x")]
+DAMAGED = [(1, 2), {}, {"@list": [], "@dict": []}, {"@nothing": 1}, {"@list": 3}, {"@scalar": 3}, {"@same": 3}]
 DAMAGED += [{"@object": content} for content in (3, ["os:system", {}], ["mecp_env.nowhere:X", {}])]
+DAMAGED += [{"@object": ["mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}]}]
 DAMAGED += [{"@object": ["mecp_env.core.snapshot:encode", {}]}]
 DAMAGED += [{"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]}]
 DAMAGED += [{"@enum": [f"{MESSAGES}:FeatureTable", 1]}, {"@enum": [f"{MESSAGES}:Cell", 99]}]
@@ -190,33 +163,3 @@ DAMAGED += [{"@generator": {"bit_generator": "PCG64"}}, {"@generator": None}, {"
 def test_damaged_data_is_refused(data):
     with pytest.raises(StateError):
         decode(data)
-
-
-def test_no_class_but_ours_is_made() -> None:
-    """A connection that is made of a number closes it when it is collected."""
-    connection = "mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}
-    with pytest.raises(StateError):
-        decode({"@object": list(connection)})
-    gc.collect()
-    os.fstat(1)  # still open
-
-
-def test_a_key_that_python_would_hash_for_ever_is_refused() -> None:
-    nested: Any = {"@tuple": [1]}
-    for number in range(60):
-        nested = {"@tuple": [nested, {"@same": 61 - number}]}
-    with pytest.raises(StateError, match="a key of more than"):
-        decode({"@dict": [[nested, 1]]})
-
-
-def test_a_class_of_an_older_file_is_found_where_it_is_now() -> None:
-    limits = RoomLimits.of(SlamConfig())
-    data = encode(limits)
-    name = data["@object"][0]
-    data["@object"][0] = name.replace("rooms.doors", "rooms.limits")  # a file that has been joined with that of doors
-    assert name != data["@object"][0]
-    assert decode(data) == limits
-    for wrong in ("mecp_env.slam.rooms.limits:RoomLimit", "mecp_env.slam.gone.limits:Path", "mecp_env.cli.gone:Demo"):
-        data["@object"][0] = wrong
-        with pytest.raises(StateError):
-            decode(data)

@@ -1,12 +1,9 @@
-"""Compiling ahead: on first use only, in processes that never outlive it, and not in workers of a pool."""
+"""Compiling ahead: on first use only, in processes that never outlive it."""
 
-import multiprocessing
 import os
-import shutil
 import signal
 import subprocess
 import sys
-import threading
 from pathlib import Path
 from typing import Any
 
@@ -49,41 +46,6 @@ def test_the_first_use_compiles_and_says_so_in_one_line(
     monkeypatch.setattr(jit, "cache_directory", lambda: cold.with_name("file"))
     warm_up.prepare()
     assert len(driven) == 1  # where nothing can be kept, nothing is compiled ahead
-
-
-def _is_prepared() -> bool:
-    calls: list[Any] = []
-    warm_up.is_cold, warm_up.compile_ahead = lambda: True, lambda *_: calls.append(_)  # type: ignore[assignment]
-    os.environ.pop(warm_up.SWITCH, None)
-    warm_up.prepare()
-    return bool(calls)
-
-
-def test_a_worker_of_a_pool_never_compiles_ahead() -> None:
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        assert not pool.apply(_is_prepared)
-
-
-def test_functions_are_counted_while_another_process_removes_their_folders(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    (tmp_path / "a" / "f.nbc").write_bytes(bytes(7))
-    (tmp_path / "a" / "f.nbi").write_bytes(bytes(9))
-    assert warm_up.sizes_in(tmp_path) == [7]
-    ended = threading.Event()
-
-    def write_and_remove() -> None:
-        while not ended.is_set():
-            (tmp_path / "b").mkdir()
-            (tmp_path / "b" / "g.nbc").touch()
-            shutil.rmtree(tmp_path / "b")
-
-    other = threading.Thread(target=write_and_remove)
-    other.start()
-    try:
-        assert all(7 in warm_up.sizes_in(tmp_path) for _ in range(2000))
-    finally:
-        ended.set()
-        other.join()
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import itertools
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -17,7 +16,7 @@ from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, episode_of, make, started
+from tests.env.helpers import IDS, NEEDED, drive, make
 
 FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
@@ -130,21 +129,12 @@ def test_unseen_floor_against_numpy_also_outside_the_grid(place: tuple[float, fl
     assert unseen_floor(*place, (label, grid.origin, grid.resolution_m)) == pytest.approx(expected)
 
 
-def test_a_sector_without_beams_is_minus_one() -> None:
-    env = make(observation="flat", laser={"preset": "lms200", "sweeps": 1})
-    flat = dict(zip(mecp_env.flat_names(), env.reset(seed=1)[0], strict=True))
-    behind = [flat[f"range_{sector}"] for sector in range(105, 270, 15)]
-    ahead = [flat[f"range_{sector}"] for sector in (*range(0, 90, 15), *range(285, 360, 15))]
-    assert behind == [-1.0] * len(behind)
-    assert min(ahead) > 0.0
-
-
 def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time() -> None:
     """Over whole episodes: row k of the vector is action k, valid just where the mask is.
 
     Known ground has the last rows, and the last one waits.
     """
-    env = gymnasium.make("mecp_env/ActiveHalls-v0", observation="flat", max_steps=400)
+    env = gymnasium.make("mecp_env/ActiveHalls-v0", observation="flat", max_steps=200)
     names = mecp_env.flat_names(env)
     columns = {name: [names.index(f"goal_{k}_{name}") for k in range(32)] for name in ("valid", "kind", "near")}
     env.action_space.seed(1)
@@ -195,16 +185,6 @@ def test_the_best_place_is_the_last_before_waiting() -> None:
     assert len(best_place_last(Goals(), wide)) == 0
 
 
-def test_values_that_are_not_finite_are_shown_as_zero_and_counted() -> None:
-    env = started(observation="flat")
-    episode = episode_of(env)
-    belief = replace(episode.slam_output.belief, pose_cov=np.full((3, 3), np.nan))
-    episode.slam_output = replace(episode.slam_output, belief=belief)
-    flat = dict(zip(mecp_env.flat_names(env), env.observation(), strict=True))
-    assert (flat["sigma_ahead"], flat["sigma_left"], flat["sigma_heading"]) == (0.0, 0.0, 0.0)
-    assert env.info()["saturated"] == 3
-
-
 def test_names_match_the_vector_and_what_is_not_flat_is_refused() -> None:
     for actions, uncertainty in itertools.product(("goal", "velocity", "discrete"), (False, True)):
         env = make(observation={"format": "flat", "uncertainty": uncertainty}, actions=actions)
@@ -227,8 +207,6 @@ def test_the_image_shows_the_grid_goals_and_path() -> None:
     image, seen = env.unwrapped.observation(), shows_map.unwrapped.observation()
     coarse = dict(zip(LAYERS, seen["map"], strict=True))
     assert set(np.unique(image[0])) == {0, 170, 255}
-    assert set(np.unique(image[1])) <= {0, 85, 170, 255}
-    assert set(np.unique(image[2])) <= {0, 85, 170, 255}
     assert image[0, 31:33, 31:33].min() == 0  # the robot is on free floor, on its path
     assert image[2, 31:33, 31:33].max() == 255
     shown = image[0].reshape(32, 2, 32, 2).max(axis=(1, 3))  # cells of 0.8 m; the map shows as many around the robot
@@ -247,9 +225,8 @@ def test_goals_are_where_the_image_shows_them() -> None:
     }
 
 
-@pytest.mark.parametrize("name", IDS)
-@pytest.mark.parametrize("observation", FORMATS)
-def test_every_id_takes_every_format_as_word_and_as_setting(name: str, observation: str) -> None:
+@pytest.mark.parametrize(("name", "observation"), [(name, list(FORMATS)[k % 2]) for k, name in enumerate(IDS)])
+def test_every_id_takes_a_format_as_word_and_as_setting(name: str, observation: str) -> None:
     short = gymnasium.make(name, observation=observation, **NEEDED.get(name, {}))
     long = gymnasium.make(name, config={"observation": {"format": observation}}, **NEEDED.get(name, {}))
     assert short.unwrapped.config.to_dict() == long.unwrapped.config.to_dict()

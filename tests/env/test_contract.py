@@ -26,7 +26,7 @@ SB3_ALLOWED = ("Your observation landmarks has an unconventional", "Your observa
 GYM_ALLOWED = r".*is different from the unwrapped version.*"
 
 
-KINDS = [("mecp_env/Layout-v0", actions, observation) for actions in ACTIONS for observation in FORMATS]
+KINDS = [("mecp_env/Layout-v0", *kinds) for kinds in zip(ACTIONS, FORMATS, strict=True)]
 
 
 @pytest.mark.parametrize(("name", "actions", "observation"), [*((name, None, None) for name in IDS), *KINDS])
@@ -39,9 +39,8 @@ def test_gymnasium_check_env_without_a_warning(name, actions, observation):
         check_env(below(env), skip_render_check=not actions, skip_close_check=bool(actions))
 
 
-@pytest.mark.parametrize("actions", ACTIONS)
-@pytest.mark.parametrize("observation", FORMATS)
-def test_stable_baselines3_check_env(actions, observation):
+@pytest.mark.parametrize(("name", "actions", "observation"), KINDS)
+def test_stable_baselines3_check_env(name, actions, observation):
     checker = pytest.importorskip("stable_baselines3.common.env_checker")
     env = make(actions=actions, observation=observation)
     with warnings.catch_warnings(record=True) as caught:
@@ -49,13 +48,6 @@ def test_stable_baselines3_check_env(actions, observation):
         checker.check_env(env, warn=True, skip_render_check=True)
     messages = [str(w.message) for w in caught if issubclass(w.category, UserWarning)]
     assert [m for m in messages if observation != "dict" or not m.startswith(SB3_ALLOWED)] == []
-
-
-def test_a_scan_of_united_sweeps_stays_in_its_space():
-    env = make(observation={"scan": True}, slam={"clustering": {"sweeps": "union"}}, laser={"sweeps": 2, "beams": 360})
-    observation, _ = env.reset(seed=0)
-    assert observation["scan"].shape == (720,)
-    assert env.observation_space.contains(observation)
 
 
 @pytest.mark.parametrize("actions", ACTIONS)
@@ -81,7 +73,7 @@ def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts
             env.reset()
 
 
-@pytest.mark.parametrize("actions", ACTIONS)
+@pytest.mark.parametrize("actions", ["velocity", "goal"])
 def test_info_is_numbers_alone_where_texts_are_left_out(actions):
     env = make(actions=actions, info_texts=False, max_steps=40)
     _, first = env.reset(seed=3)
@@ -136,22 +128,10 @@ def test_registration_is_idempotent_and_both_forms_of_make_work():
     assert [name for name in EnvConfig.model_fields if f"`{name}`" not in type(make().unwrapped).__doc__] == []
 
 
-@pytest.mark.parametrize(
-    "keywords", [{"layout": "twins"}, {"config": {"layout": "twins"}}, {"config": EnvConfig(layout="twins")}], ids=str
-)
-def test_the_paper_map_takes_no_other_layout(keywords):
-    with pytest.raises(ConfigError, match=r"layout: .*PaperMap-v0 is 'paper'"):
-        gymnasium.make("mecp_env/PaperMap-v0", **keywords)
-    same = gymnasium.make("mecp_env/PaperMap-v0", layout="paper", config={"layout": "paper", "max_steps": 9})
-    assert (same.unwrapped.config.layout, same.unwrapped.config.max_steps) == ("paper", 9)
-
-
-def test_render_without_a_mode_says_so_and_close_may_be_called_twice():
-    env = started()
-    with pytest.warns(UserWarning, match="render_mode"):
-        assert env.render() is None
-    env.close()
-    env.close()
+def test_the_paper_map_takes_no_other_layout():
+    for keywords in ({"layout": "twins"}, {"config": EnvConfig(layout="twins")}):
+        with pytest.raises(ConfigError, match=r"layout: .*PaperMap-v0 is 'paper'"):
+            gymnasium.make("mecp_env/PaperMap-v0", **keywords)
 
 
 def test_a_frame_is_a_picture():
@@ -162,10 +142,6 @@ def test_a_frame_is_a_picture():
     assert frame.std() > 0
     env.step(np.ones(2, np.float32))
     assert not np.array_equal(frame, env.render())
-    collected = gymnasium.wrappers.RenderCollection(env)
-    collected.reset(seed=1)
-    collected.step(np.zeros(2, np.float32))
-    assert len(collected.render()) == 2
 
 
 def test_human_mode_draws_itself_and_warns_once_without_a_display(monkeypatch, caplog):
@@ -174,6 +150,8 @@ def test_human_mode_draws_itself_and_warns_once_without_a_display(monkeypatch, c
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(window, "is_unseen", lambda driver: driver == "dummy")
     window.warn_unseen.cache_clear()
+    with pytest.warns(UserWarning, match="render_mode"):
+        assert started().render() is None
     env = make(render_mode="human")
     for _ in range(2):
         env.reset(seed=1)  # a new window

@@ -9,15 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 import pytest
 
 import mecp_env  # noqa: F401
-from mecp_env.core.errors import ConfigError, LayoutError, PlanWarning
+from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.env import MecpEnv
 from mecp_env.episode import buildings
 from mecp_env.episode.buildings import make_source, register_buildings
-from mecp_env.floorplans import folder as folders
 from mecp_env.floorplans import plan_files
 from mecp_env.floorplans.exporters import save_map_server
 from mecp_env.world.layout import LIBRARY, load_layout
@@ -70,10 +68,12 @@ def test_its_buildings_are_sound_and_differ_and_batches_and_states_know_it(rows:
 
 
 class Broken:
-    count = 2
+    """Whose code is wrong, as a user's may be."""
+
+    count = 3
 
     def layout(self, building: int) -> Any:
-        return {"name": "x"} if building else "two_rooms"
+        return {0: "two_rooms", 1: {"name": "x"}}[building]
 
 
 @pytest.mark.parametrize(
@@ -81,8 +81,8 @@ class Broken:
     [
         (Broken, {"rooms": 3}, r"layout: mine: .*takes no arguments"),
         (Broken, 3, r"layout: \{'mine': \{\.\.\.\}\} stands alone"),
-        (lambda: object(), {}, r"layout: mine: expected a method `layout` and a `count` of 1 or more, got None"),
-        (type("None_", (Broken,), {"count": 0}), {}, r"a `count` of 1 or more, got 0"),
+        (object, {}, r"layout: mine: expected a method `layout` and a `count` of 1 or more, got None"),
+        (lambda: 1 / 0, {}, r"layout: mine: ZeroDivisionError: .* \(<lambda>, line \d+\)"),
     ],
 )
 def test_what_is_no_source_is_refused(registered: None, make: Any, fields: Any, said: str) -> None:
@@ -91,17 +91,19 @@ def test_what_is_no_source_is_refused(registered: None, make: Any, fields: Any, 
         make_source({"mine": fields})
 
 
-def test_a_building_that_is_no_layout_and_a_name_that_cannot_be_registered_are_named(registered: None) -> None:
+def test_a_wrong_building_and_names_that_are_not_registered_or_cannot_be_are_named(registered: None) -> None:
     register_buildings("mine", Broken)
     source = make_source({"mine": {}})
     assert len(source.layout(0).rooms) == 2
     with pytest.raises(LayoutError, match=r"mine: building 1: .*walls"):
         source.layout(1)
-    with pytest.raises(ConfigError, match="make: 3, a class or function expected"):
-        register_buildings("mine", 3)
-    for name in ("generate", "plan", "walls", "two words", 3):
-        with pytest.raises(ConfigError, match="name: "):
-            register_buildings(name, dict)
+    with pytest.raises(LayoutError, match=r"mine: building 2: KeyError: 2 \(layout, line \d+\)"):
+        source.layout(2)
+    with pytest.raises(ConfigError, match=r"'mime': not registered .* \(registered: mine\); did you mean 'mine'"):
+        make_source({"mime": {}})
+    for name, made in (("mine", 3), ("generate", dict), ("two words", dict)):
+        with pytest.raises(ConfigError, match=r"name: |make: 3, a class or function expected"):
+            register_buildings(name, made)
 
 
 PLAN = "mecp_env/FloorPlan-v0"
@@ -117,15 +119,6 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_plan_is_explored(folder: Path) -> None:
-    env = gym.make(PLAN, plan=folder / "b.yaml", **QUICK)
-    observation, info = env.reset(seed=0)
-    assert (info["rooms"], info["doors"], info["building"]) == (2, 1, 0)
-    for _ in range(5):
-        observation, *_ = env.step(np.array([0.5, 0.1], np.float32))
-    assert observation["landmarks"][:, -1].sum() > 3
-
-
 def test_of_a_folder_each_plan_comes(folder: Path) -> None:
     env = gym.make(PLAN, plan=str(folder), **QUICK)
     rooms = [env.reset(seed=0)[1]["rooms"], *(env.reset()[1]["rooms"] for _ in range(11))]
@@ -133,13 +126,9 @@ def test_of_a_folder_each_plan_comes(folder: Path) -> None:
     assert env.reset(options={"building": 1})[1]["rooms"] == 2
     with pytest.raises(ConfigError, match="building: 2"):
         env.reset(options={"building": 2})
-
-
-def test_options_reach_the_reader(folder: Path) -> None:
-    env = gym.make(PLAN, plan=folder / "b.yaml", door_width_m=(0.4, 0.6), **QUICK)
-    assert env.reset(seed=0)[1]["doors"] == 0
-    again = gym.make(PLAN, config=env.unwrapped.config)
-    assert again.unwrapped.config == env.unwrapped.config
+    one = gym.make(PLAN, plan=folder / "b.yaml", door_width_m=(0.4, 0.6), **QUICK)
+    assert one.reset(seed=0)[1]["doors"] == 0
+    assert gym.make(PLAN, config=one.unwrapped.config).unwrapped.config == one.unwrapped.config
 
 
 @pytest.mark.parametrize(
@@ -147,13 +136,10 @@ def test_options_reach_the_reader(folder: Path) -> None:
     [
         ({}, ConfigError, "path of a floor plan"),
         ({"plan": "nowhere.json"}, LayoutError, "nowhere"),
-        ({"plan": "nowhere"}, LayoutError, "nowhere: no such file or folder"),
         ({"plan": "x.docx"}, LayoutError, "docx"),
         ({"plan": ""}, ConfigError, "plan: the path of a floor plan"),
         ({"plan": b"b.yaml"}, ConfigError, r"plan: the path of a floor plan.*\(given: b'b.yaml'\)"),
-        ({"config": {"layout": {"plan": {"path": 3}}}}, ConfigError, r"plan: the path of a floor plan"),
         ({"layout": "paper"}, ConfigError, "layout"),
-        ({"plan": "b.yaml", "door_width_m": (3.0, 1.0)}, ConfigError, "door_width_m"),
         ({"plan": "b.yaml", "door_width_m": 0.9}, ConfigError, r"door_width_m: two widths, the narrower first"),
         ({"plan": ".", "resolution": 0.05}, ConfigError, r"argument 'resolution'; did you mean 'resolution_m'"),
         ({"plan": "empty"}, ConfigError, "no file in it"),
@@ -189,15 +175,6 @@ def test_the_folders_in_a_folder_are_entered_in_order(tree: Path) -> None:
     assert names(plan_files(tree, "image"), tree) == ["z/alone.pgm"]
 
 
-def test_plain_images_of_a_folder_are_plans_with_a_resolution(tree: Path) -> None:
-    env = gym.make(PLAN, plan=tree, resolution_m=0.05, **QUICK)
-    with pytest.warns(PlanWarning, match="grey 205"):
-        rooms = [env.reset(seed=0, options={"building": building})[1]["rooms"] for building in range(5)]
-    assert rooms == [4, 2, 9, 2, 2]
-    again = gym.make(PLAN, config=env.unwrapped.config)
-    assert again.reset(seed=3)[1]["building"] == env.reset(seed=3)[1]["building"]
-
-
 def test_links_within_the_folder_are_plans_or_not_followed_and_others_are_refused(tree: Path) -> None:
     (tree / "c.json").symlink_to(tree / "a.json")
     (tree / "round").symlink_to(tree)
@@ -207,50 +184,3 @@ def test_links_within_the_folder_are_plans_or_not_followed_and_others_are_refuse
         with pytest.raises(LayoutError, match=r"link\.json: a link that leaves the folder"):
             plan_files(tree)
         (tree / "m" / "link.json").unlink()
-
-
-def test_too_many_files_and_none_that_can_be_read_are_refused(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tree / "z" / "pair.yaml").unlink()
-    with pytest.raises(ConfigError, match=r"no file in it ends in .*resolution_m"):
-        plan_files(tree / "z")
-    monkeypatch.setattr(folders, "MAX_FILES", 4)
-    with pytest.raises(ConfigError, match="more than 4 files"):
-        plan_files(tree)
-
-
-def test_so_many_plans_are_kept_and_no_more(tree: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(buildings, "KEPT_PLANS", 2)
-    plans = make_source({"plan": {"path": str(tree)}})
-    for building in (0, 1, 2, 3, 0):
-        plans.layout(building)
-    assert set(plans.read) == {3, 0}
-
-
-class Faulty:
-    """Whose code fails, as a user's may."""
-
-    count = 2
-
-    def __init__(self, early: bool = False) -> None:
-        if early:
-            raise OSError("no data")
-
-    def layout(self, building: int) -> str:
-        if building == 1:
-            raise KeyError("door")
-        return "two_rooms"
-
-
-def test_an_error_in_the_code_of_a_source_names_the_source_the_building_and_the_line(registered: None) -> None:
-    register_buildings("faulty", Faulty)
-    env = gym.make("mecp_env/Layout-v0", layout={"faulty": {}})
-    with pytest.raises(LayoutError, match=r"faulty: building 1: KeyError: 'door' \(layout, line \d+\)"):
-        env.reset(options={"building": 1})
-    with pytest.raises(ConfigError, match=r"layout: faulty: OSError: no data \(__init__, line \d+\)"):
-        make_source({"faulty": {"early": True}})
-
-
-def test_a_source_that_is_not_registered_is_named_and_not_taken_for_a_layout(registered: None) -> None:
-    register_buildings("faulty", Faulty)
-    with pytest.raises(ConfigError, match=r"'fault': not registered .* \(registered: faulty\); did you mean 'faulty'"):
-        make_source({"fault": {}})

@@ -32,7 +32,7 @@ from mecp_env.episode.rewards import (
     weights_of,
 )
 from mecp_env.slam.messages import Cell
-from tests.env.helpers import drive, episode_of, make, started, world_of
+from tests.env.helpers import drive, episode_of, make, started, until_over, world_of
 from tests.env.make import happened, reward_inputs
 from tests.slam.make import belief, grid
 
@@ -102,7 +102,7 @@ def test_the_first_landmark_counts_from_a_metre():
     assert more["landmark_information"] == pytest.approx(0.0)  # copies
 
 
-@pytest.mark.parametrize("seed", range(10))
+@pytest.mark.parametrize("seed", range(4))
 def test_no_detour_earns_anything(seed):
     """Growing, shrinking, creating, removing, painting and repainting: back at the start the sums are 0."""
     rng, config = np.random.default_rng(seed), RewardConfig(preset="terms", **dict.fromkeys(POTENTIALS, 1.0))
@@ -116,14 +116,6 @@ def test_no_detour_earns_anything(seed):
     assert earned == pytest.approx(dict.fromkeys(earned, 0.0), abs=1e-9)
     away, unweighted = sums(begin, detour[0], config=config), sums(begin, detour[0])
     assert all(away[name] != 0.0 == unweighted[name] for name in POTENTIALS)
-
-
-def test_the_true_area_counts_where_it_is_asked_for():
-    def at(true_area: float, **changes) -> RewardInputs:
-        return moment(**changes)._replace(true_area_m2=true_area)
-
-    assert sums(at(3.0), at(4.5, known=90, version=2, pose=LOST))["area"] == 1.5
-    assert sums(at(3.0), at(4.5, diverged=True))["area"] == 1.5
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -173,17 +165,6 @@ def test_the_area_of_an_episode_telescopes(source):
         assert gained == pytest.approx(coverage * world_of(base).truth.free_cells * 0.01)
 
 
-def test_a_contact_costs():
-    env = make(reward="terms")
-    env.reset(seed=1)
-    for _ in range(12):
-        _, _, _, _, info = env.step(np.array([-1.0, 0.0], np.float32))  # backwards into the nearest wall
-        assert info["reward_contact"] == (-0.1 if info["contact"] else 0.0)
-        assert info["reward_time"] == -0.005
-    assert info["contact"]
-    assert info["contacts"] > 0
-
-
 def test_a_filter_that_diverged_completes_nothing():
     env = started(end={"coverage": 0.1}, reward="terms")
     episode_of(env).pipeline.divergence.found = True
@@ -199,22 +180,17 @@ FREE_M2 = 50.0
 TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
 
 
-def run(
-    env: gymnasium.Env, seed: int = 0, steps: int = 10**6, speed: float = 1.0
-) -> tuple[list[float], dict[str, Any]]:
+def run(env: gymnasium.Env, seed: int = 0, speed: float = 1.0) -> tuple[list[float], dict[str, Any]]:
     """Rewards of a random walk, and the last info."""
     env.reset(seed=seed)
-    rng, rewards, over = np.random.default_rng(seed), [], False
-    while not over and len(rewards) < steps:
-        action = rng.uniform(-speed, speed, 2).astype(np.float32)
-        _, reward, terminated, truncated, info = env.step(action)
-        rewards.append(reward)
-        over = terminated or truncated
-    return rewards, info
+    rng = np.random.default_rng(seed)
+    rows = list(until_over(env, lambda _: rng.uniform(-speed, speed, 2).astype(np.float32)))
+    return [row[1] for row in rows], rows[-1][4]
 
 
-@pytest.mark.parametrize("metric", ["coverage", "correct_coverage"])
-@pytest.mark.parametrize(("shaping", "end"), [(0.0, {}), (0.3, {"coverage": 0.6})])
+@pytest.mark.parametrize(
+    ("metric", "shaping", "end"), [("coverage", 0.0, {}), ("correct_coverage", 0.3, {"coverage": 0.6})]
+)
 def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: float, end: dict[str, float]) -> None:
     keywords = {"layout": "two_rooms", "max_steps": 60, "end": end}
     env = make(**keywords, reward={"preset": metric, "shaping": shaping, **TRUTH})
@@ -241,22 +217,6 @@ def test_rewards_are_those_of_the_formula_and_at_pace_1_a_step_costs_what_is_mis
             assert pace == 0.0 or terms["coverage"] + terms["pace"] == pytest.approx(-(1.0 - before) / limit)
     assert paid == pytest.approx([0.2 * 2 / 3, -0.1 * 1 / 3, 0.0])
     assert 0.1 + sum(paid) == pytest.approx(np.mean(shares[:limit]))
-
-
-def test_after_the_end_nothing_can_be_earned() -> None:
-    config = RewardConfig(preset="coverage", pace=1.0)
-    memory = MetricMemory()
-    start_metrics(memory, inputs_of(0.5, 1.0), config)
-    terms = metric_terms(memory, inputs_of(0.5, 0.9)._replace(over=True), config)
-    assert terms["pace"] == pytest.approx(-0.5)
-
-
-def test_the_belief_pays_nearly_what_the_truth_pays() -> None:
-    by_belief, by_truth = (
-        run(make(layout="paper", max_steps=150, reward={"preset": "coverage", **TRUTH, "source": source}))[0]
-        for source in ("belief", "truth")
-    )
-    assert sum(by_belief) == pytest.approx(sum(by_truth), rel=0.1)
 
 
 def test_floor_beyond_the_building_counts_once_and_the_nearest_goal() -> None:
@@ -295,8 +255,7 @@ def test_presets_and_what_contradicts_them() -> None:
             EnvConfig(reward={"preset": "coverage", name: value})
     with pytest.raises(ConfigError, match="did you mean 'coverage'"):
         EnvConfig(reward="covrage")
-    for preset in ("coverage", "correct_coverage", "terms", "active_terms"):
-        assert EnvConfig.build(EnvConfig(reward=preset).to_dict()) == EnvConfig(reward=preset)
+    assert EnvConfig.build(EnvConfig(reward="active_terms").to_dict()) == EnvConfig(reward="active_terms")
 
 
 def inputs_of(share: float | None, budget: float) -> RewardInputs:

@@ -129,9 +129,9 @@ def run(first: int, count: int) -> dict[str, int]:
 @pytest.mark.slow
 def test_mutated_snapshots_end_in_an_error_or_run() -> None:
     """In a process of its own, which a crash would end."""
-    code = "import json; from tests.env.test_state_fuzz import run; print(json.dumps(run(0, 800)))"
+    code = "import json; from tests.env.test_state_fuzz import run; print(json.dumps(run(0, 300)))"
     ends = json.loads(run_python(code, PYTHONWARNINGS="ignore"))
-    assert sum(ends.values()) == 800
+    assert sum(ends.values()) == 300
     assert min(ends.values()) > 0
 
 

@@ -54,13 +54,6 @@ def test_the_alignment_is_the_best_one() -> None:
     assert all(cost(best) < cost(best + change) for change in 1e-3 * np.vstack((np.eye(3), -np.eye(3))))
 
 
-def test_missing_reference_poses_are_left_out() -> None:
-    reference = PATH.copy()
-    reference[3:7] = np.nan
-    assert trajectory_error(PATH, reference).poses == len(PATH) - 4
-    assert math.isnan(trajectory_error(PATH, np.full_like(PATH, np.nan)).rmse_m)
-
-
 def test_relations() -> None:
     true = np.array([[T[3], T[20], *compose(inverse(PATH[3]), PATH[20])], [T[0] - 1.0, T[5], 0.0, 0.0, 0.0]])
     errors, inside = relation_errors(T, moved(PATH, ELSEWHERE), true)

@@ -1,8 +1,6 @@
 """Controller and navigator on a toy robot: doors, obstacles, recovery, goals that cannot be reached."""
 
-import copy
 import math
-import pickle
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -12,7 +10,7 @@ import pytest
 
 from mecp_env.core.se2 import compose, to_map
 from mecp_env.planning.config import ControlConfig, PathsConfig, PlanningConfig
-from mecp_env.planning.controller import can_stop, coast, follow, look_ahead, near_points, safe_command, seen_points
+from mecp_env.planning.controller import coast, follow, look_ahead, near_points, safe_command, seen_points
 from mecp_env.planning.goal_sources import door_places
 from mecp_env.planning.goals import Goal, GoalHistory, GoalKind, Goals, find_goals
 from mecp_env.planning.navigator import (
@@ -56,16 +54,7 @@ def target(toy: Toy, x: float, y: float, kind: GoalKind = GoalKind.OPEN) -> Targ
     return Target.of(Goals.of([Goal(kind, *place, 1.0, toy.current)]), 0)
 
 
-@pytest.mark.parametrize(("heading", "T_map_world"), [(0.0, np.zeros(3)), (3.1, np.array([3.0, -1.0, 2.0]))])
-def test_the_robot_reaches_a_place_in_its_room(heading: float, T_map_world: np.ndarray) -> None:
-    toy = Toy(np.array([1.0, 1.0, heading]), T_map_world, confirmed=False)
-    navigator = drive(toy, target(toy, 4.5, 3.2))
-    assert navigator.outcome == Outcome.REACHED
-    assert np.hypot(*(toy.T_world_robot[:2] - [4.5, 3.2])) < 0.35
-    assert not toy.contact
-
-
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_robot_goes_through_a_door_into_the_unknown(seed: int) -> None:
     rng = np.random.default_rng(seed)
     pose = np.array([rng.uniform(0.5, 5.2), rng.uniform(0.5, 3.5), rng.uniform(-3, 3)])
@@ -179,16 +168,6 @@ def test_a_long_way_has_the_time_that_it_takes() -> None:
     assert navigator.steps > 12
 
 
-def test_a_navigator_in_mid_drive_can_be_copied() -> None:
-    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)
-    navigator = started(target(toy, 4.5, 3.2))
-    for _ in range(6):
-        toy.move(*navigator.step(toy.output()))
-    twins = (toy, navigator), (copy.deepcopy(toy), pickle.loads(pickle.dumps(navigator)))
-    costs = [[nav.step(t.output()) for t.step in range(7, 10)] for t, nav in twins]
-    assert costs[0] == costs[1]
-
-
 def test_what_lies_behind_is_turned_to_first_and_speed_falls_towards_the_end_of_the_path() -> None:
     pose = np.array([2.0, 2.0, 0.0])
     beams, _ = look(pose)
@@ -220,21 +199,17 @@ def test_a_robot_that_rolls_on_does_not_turn_into_a_corner() -> None:
     assert coast((0.4, 0.2), (0.6, 0.1), beams, CONTROL, BODY) == (0.4, 0.2)
 
 
-def test_a_robot_that_is_too_near_may_move_away_only() -> None:
-    wall = wall_ahead(0.25)
-    assert not can_stop(wall, 0.2, 0.0, 0.4, CONTROL.record, BODY.record)
-    assert can_stop(wall, -0.2, 0.0, 0.4, CONTROL.record, BODY.record)
-
-
 def test_a_robot_that_got_stuck_passes_a_gap_hardly_wider_than_itself() -> None:
     """It had come into a KTH room through one, and gave up one goal after another there: 60 drives of 60 steps."""
-    control, body = ControlConfig(), PathsConfig()
-    half = body.radius_m + 0.6 * control.guard_m
+    half = BODY.radius_m + 0.6 * CONTROL.guard_m
     posts = np.array([[0.1, half], [0.1, -half]])
-    too_narrow = posts * (1.0, 0.9 * body.radius_m / half)
-    assert safe_command(0.5, 0.0, posts, control.record, body.record) == (0.0, 0.0)
-    assert safe_command(0.5, 0.0, posts, squeezed(control).record, body.record)[0] > 0.0
-    assert safe_command(0.5, 0.0, too_narrow, squeezed(control).record, body.record) == (0.0, 0.0)
+    too_narrow = posts * (1.0, 0.9 * BODY.radius_m / half)
+    for around, control, moves in (
+        (posts, CONTROL, False),
+        (posts, squeezed(CONTROL), True),
+        (too_narrow, squeezed(CONTROL), False),
+    ):
+        assert (safe_command(0.5, 0.0, around, control.record, BODY.record)[0] > 0.0) == moves
 
 
 def test_one_wild_beam_does_not_stop_the_robot() -> None:
@@ -253,10 +228,8 @@ def test_points_seen_are_those_near_in_the_frame_of_the_robot() -> None:
         assert points[:, 0].min() == pytest.approx(-1.0, abs=0.01)
 
 
-@pytest.mark.parametrize("heading", [0.0, 2.0])
-def test_look_ahead_is_on_the_path_and_counts_what_is_left(heading: float) -> None:
-    path = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]])
-    x, y, left = look_ahead(path, np.array([0.6, 0.1, heading]), 0.6)
-    p = to_map(np.array([0.6, 0.1, heading]), np.array([[x, y]]))[0]
-    assert p == pytest.approx([1.0, 0.2])
+def test_look_ahead_is_on_the_path_and_counts_what_is_left() -> None:
+    path, pose = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 2.0]]), np.array([0.6, 0.1, 2.0])
+    x, y, left = look_ahead(path, pose, 0.6)
+    assert to_map(pose, np.array([[x, y]]))[0] == pytest.approx([1.0, 0.2])
     assert left == pytest.approx(2.4)

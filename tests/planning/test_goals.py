@@ -129,12 +129,6 @@ def test_where_the_robot_has_been_no_open_edge_is_a_goal(toy: Toy) -> None:
     assert kinds(far, near) == [kind for kind in kinds() if kind != GoalKind.OPEN]  # all else stays
 
 
-def test_near_open_edges_are_one_goal(toy: Toy) -> None:
-    half_a_room(toy)
-    toy.add_polygon([0, 1, 2], 0, open_edges=(1,))
-    assert len(from_source(open_goals, toy.output())) == 1
-
-
 def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     toy.confirmed = False
     output = toy.output()
@@ -267,11 +261,8 @@ def test_the_list_is_complete_only_when_nothing_is_left(toy: Toy) -> None:
     assert goals.path_m == pytest.approx([5.8], abs=1.2)  # to the near side of what can be reached, 5.76 m away
     assert complete_rooms(goals, history, toy.graph()) == (0,)
     toy.add_polygon([8, 9, 10, 11], 1)
-    for x in np.arange(7.0, 31.0, 1.0):
-        toy.T_world_robot = np.array([x, 2.0 if x < 10 else 1.2, 0.0])
-        toy.output()
-    for x in np.arange(31.0, 11.0, -1.0):
-        toy.T_world_robot = np.array([x, 2.9, 0.0])
+    for x in (*np.arange(7.0, 31.0, 1.0), *np.arange(31.0, 11.0, -1.0)):
+        toy.T_world_robot = np.array([x, 1.2 if toy.T_world_robot[0] < x else 2.9, 0.0])
         toy.output()
     goals = find_goals(toy.output(), history, CONFIG)
     assert len(goals) == 0, [(GoalKind(k), p) for k, p in zip(goals.kind, goals.p_map, strict=True)]
@@ -328,17 +319,13 @@ def test_what_is_out_of_reach_is_a_goal_until_it_is_closed_but_waits_for_all_oth
     assert len(find_goals(toy.output(), history, narrow)) == 0
 
 
-def test_levels_count_steps() -> None:
-    assert levels_from(3, {3: {1, 2}, 1: {0}, 2: {0}, 0: {9}, 9: {0}}) == {3: 0, 1: 1, 2: 1, 0: 2, 9: 3}
-
-
 def test_rooms_have_the_level_of_the_door_graph() -> None:
     doors = tuple(make.door(i, rooms=rooms) for i, rooms in enumerate([(0, 1), (1, 2), (0, 3), (3, -1), (5, 2)]))
     graph = make.graph(0, (0, 1, 2, 3, 5), doors=doors, merged={4: 2})
     assert door_levels(graph, 0) == {0: 0, 1: 1, 3: 1, 2: 2, 5: 3}
 
 
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_levels_of_polygons_are_those_of_their_graph(seed: int) -> None:
     rng = np.random.default_rng(seed)
     ids, p_map = rng.permutation(60)[:50], rng.normal(size=(50, 2))  # ten ids are no landmarks
@@ -365,16 +352,6 @@ def test_places_are_apart_from_all_taken_before() -> None:
     assert far_apart(places, 0.7).tolist() == taken
     assert 5 < len(taken) < 50
     assert far_apart(np.empty((0, 2)), 0.7).tolist() == []
-
-
-def test_goals_of_other_rooms_come_last() -> None:
-    toy = Toy(np.array([8.0, 2.0, 0.0]))
-    toy.output()
-    toy.T_world_robot = np.array([3.0, 2.0, 0.0])
-    output = toy.output()
-    rooms = find_goals(output, GoalHistory(), CONFIG).room.tolist()
-    assert set(rooms) == {0, 1}
-    assert sorted(rooms) == rooms
 
 
 def test_what_was_refused_gets_two_more_chances_and_what_was_visited_in_vain_none(toy: Toy) -> None:

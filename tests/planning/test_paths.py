@@ -1,4 +1,4 @@
-"""The grid planner: clearance and paths against brute force, corners, doors, smoothing."""
+"""The grid planner: clearance and paths against brute force, corners, doors."""
 
 import heapq
 import math
@@ -57,7 +57,7 @@ def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
     assert cost_to_go_field(make.grid(label, origin=(-1.0, 2.0)), start, CONFIG, tight=True).nearest(there, 0.3) is None
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(3))
 def test_the_field_is_dijkstra(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cost = grid_paths.cell_costs(label := random_label(rng), grid_paths.clearance(label, 6.0), 3.2, 6.0, 6.0)
@@ -115,7 +115,7 @@ def dijkstra(cost: np.ndarray, row: int, column: int) -> np.ndarray:
     return total
 
 
-@pytest.mark.parametrize("seed", range(30))
+@pytest.mark.parametrize("seed", range(10))
 def test_no_path_cuts_a_corner_nearer_than_the_radius(seed: int) -> None:
     rng = np.random.default_rng(seed)
     label = random_label(rng)
@@ -181,15 +181,6 @@ def test_the_way_through_a_door_is_in_its_middle_and_slits_and_unknown_cells_are
         assert (costs_from(label, (20, 10)).nearest(beyond, 0.3) is not None) == passes
 
 
-def test_a_robot_too_near_to_a_wall_gets_out_and_no_nearer() -> None:
-    label = room_with_gap(9)
-    costs = costs_from(label, (20, 28))  # 0.2 m from the wall
-    cell = costs.nearest(np.array([0.0, 4.0]), 0.2)
-    assert cell is not None
-    cells = trace_back(costs.step, *cell)
-    assert costs.clearance[tuple(cells.T)].min() >= costs.clearance[20, 28]
-
-
 def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> None:
     """Seen in `furnished`: the free cells around it are nearer to walls by less than a cell; no goal was left."""
     label = np.full((30, 30), Cell.FREE, np.uint8)
@@ -197,15 +188,6 @@ def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> No
     label[14, :5] = label[15, 4:12] = label[16, 10:18] = Cell.OCCUPIED  # a slanted wall on its other side
     costs = costs_from(label, (12, 12))
     assert (costs.total[2:10, 2:9] < grid_paths.FAR).all()
-
-
-def test_smoothing_leaves_few_points_in_the_open() -> None:
-    label = np.full((60, 90), Cell.FREE, np.uint8)
-    costs = costs_from(label, (10, 10))
-    path = costs.path((50, 80))
-    assert len(path) == 2
-    x, y = costs.centre((50, 80)).tolist()
-    assert costs.lengths_m([(x, y, 0.05)]) == pytest.approx([7.0 + 0.4 * 4.0], abs=0.2)
 
 
 def test_a_wall_on_the_path_is_noticed() -> None:

@@ -47,17 +47,14 @@ def test_the_joint_covariance_is_that_of_the_robots_centre_and_names_its_rows(tm
     for _ in range(4):
         output = pipeline.step(Odometry.between(np.zeros(3), np.zeros(3), (0.01, 0.01)), Scan.of(ranges, angles, 12.0))
     belief = output.belief
-    for suffix in (".npz", ".csv"):
-        pipeline.export(joint_covariance=tmp_path / f"joint{suffix}")
+    pipeline.export(joint_covariance=tmp_path / "joint.npz")
+    pipeline.export(joint_covariance=tmp_path / "joint.csv")
     with np.load(tmp_path / "joint.npz") as file:
         ids, mean, cov = file["ids"], file["mean"], file["cov"]
     assert ids.tolist() == belief.ids.tolist() == [0, 1, 2, 3]
     np.testing.assert_allclose(mean, [*belief.T_map_robot, *belief.p_map.ravel()], atol=1e-9)
     np.testing.assert_allclose(cov[:3, :3], belief.pose_cov, atol=1e-15)
-    for k in range(len(ids)):
-        np.testing.assert_allclose(cov[3 + 2 * k : 5 + 2 * k, 3 + 2 * k : 5 + 2 * k], belief.covs[k], atol=1e-12)
-    np.testing.assert_allclose(cov, cov.T, atol=1e-15)
-    assert np.linalg.eigvalsh(cov).min() > 0.0
+    np.testing.assert_allclose([cov[k : k + 2, k : k + 2] for k in range(3, 11, 2)], belief.covs, atol=1e-12)
     names, *rows = csv.reader((tmp_path / "joint.csv").open())
     columns = ["pose.x_m", "pose.y_m", "pose.heading_rad", *(f"{i}.{axis}_m" for i in ids for axis in "xy")]
     assert names == ["", "mean", *columns]
@@ -65,28 +62,19 @@ def test_the_joint_covariance_is_that_of_the_robots_centre_and_names_its_rows(tm
     np.testing.assert_array_equal(np.array([row[1:] for row in rows], float), np.column_stack([mean, cov]))
 
 
-@pytest.mark.parametrize(
-    ("paths", "named"),
-    [
-        ({}, "landmarks"),
-        ({"landmark": "x.csv"}, "landmarks"),
-        ({"grid": "x.png"}, "x.png"),
-        ({"joint_covariance": "x.txt"}, "npz"),
-        ({"joint_covariance": "x.npz"}, "SlamPipeline"),
-    ],
-)
-def test_what_an_output_cannot_write_is_named(paths: dict[str, str], named: str, mapped: Any, tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=named):
-        mapped[1].export(**{name: tmp_path / path for name, path in paths.items()})
+UNWRITABLE = {"": "landmarks", "landmark x.csv": "landmarks", "grid x.png": "x.png"}
+UNWRITABLE |= {"joint_covariance x.txt": "npz", "joint_covariance x.npz": "SlamPipeline"}
+
+
+def test_what_an_output_cannot_write_is_named(mapped: Any, tmp_path: Path) -> None:
+    for words, named in UNWRITABLE.items():
+        name, _, path = words.partition(" ")
+        with pytest.raises(ConfigError, match=named):
+            mapped[1].export(**({name: tmp_path / path} if name else {}))
     assert not list(tmp_path.iterdir())
 
 
-def test_a_pipe_is_written_to_and_stays(mapped: Any) -> None:
-    mapped[1].export(landmarks="/dev/null")
-    assert Path("/dev/null").is_char_device()
-
-
-@pytest.mark.parametrize("seed", range(15))
+@pytest.mark.parametrize("seed", range(8))
 def test_the_outline_of_any_cells_is_their_union(seed: int) -> None:
     rng = np.random.default_rng(seed)
     room = np.where(rng.random((9, 13)) < rng.uniform(0.2, 0.9), 0, -1).astype(np.int16)

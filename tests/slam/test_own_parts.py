@@ -11,18 +11,13 @@ import numpy as np
 import pytest
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks import __main__ as command
-from benchmarks import association as benchmark
-from benchmarks import loop, noise
-from benchmarks.drives import WatchedAssociator
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
-from mecp_env.slam import MatchError, config, landmark_map
-from mecp_env.slam.association import MecpAssociator, register_associator
+from mecp_env.slam import MatchError, SlamMap, landmark_map
+from mecp_env.slam.association import MecpAssociator
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.custom import is_ours
-from mecp_env.slam.filters import Ekf, FilterError, RightInvariantEkf, register_filter
+from mecp_env.slam.filters import Ekf, FilterError, register_filter
 from mecp_env.slam.mecp import register_structure
 from mecp_env.slam.messages import Decision, FeatureState
 from mecp_env.slam.pipeline import SlamPipeline
@@ -49,67 +44,19 @@ def test_the_parts_of_the_page_run_in_an_environment_and_its_states(own: dict[st
         env.step(np.array([0.5, 0.1]))
     pipeline, second = episode_of(env).pipeline, SlamPipeline(OWN)
     assert type(second.associator) is type(pipeline.associator)
-    assert second.associator is not pipeline.associator
     assert type(pipeline.associator) is own["global_nearest"].GlobalNearest
     assert type(pipeline.filter) is own["plain_ekf"].PlainEkf
     assert len(env.slam_output.belief.ids) > 5
+    assert check_associator(own["global_nearest"].GlobalNearest) > 0
+    check_filter(own["plain_ekf"].PlainEkf)
     state = env.get_state()
     other = gym.make("mecp_env/PaperMap-v0", slam=OWN).unwrapped
     other.set_state(state)
     first, second = (e.step(np.array([0.3, -0.2]))[0] for e in (env, other))
     assert all(np.array_equal(first[key], second[key]) for key in first)
-
-
-def test_they_pass_the_checks_of_the_page(own: dict[str, ModuleType]) -> None:
-    assert check_associator(own["global_nearest"].GlobalNearest) > 0
-    check_filter(own["plain_ekf"].PlainEkf)
-
-
-class Boxed:
-    """A filter that keeps another one inside, as a custom filter may."""
-
-    def __init__(self, config: config.FilterConfig) -> None:
-        self.inner = RightInvariantEkf(config)
-
-    def __getattr__(self, name: str) -> Any:
-        if name in ("inner", "slot_ids"):  # absent while a copy is made; unknown to states
-            raise AttributeError(name)
-        return getattr(self.inner, name)
-
-    @property
-    def ids(self) -> Any:
-        return self.inner.ids
-
-    def copy(self) -> Any:
-        other = object.__new__(Boxed)
-        other.inner = self.inner.copy()
-        return other
-
-
-def test_a_map_holds_them(own: dict[str, ModuleType], drive: Drive, tmp_path: Path) -> None:
-    register_filter("boxed", Boxed)
-    pipeline = SlamPipeline({**OWN, "filter": {"kind": "boxed"}})
-    pipeline.start(drive.scans[0])
-    for k in range(3, 20):
-        pipeline.step(drive.odometry[k], drive.scans[k])
-    pipeline.save_map(tmp_path / "map.zip")
-    other = SlamPipeline.from_map(tmp_path / "map.zip")
-    assert type(other.associator) is own["global_nearest"].GlobalNearest
-    assert type(other.filter) is Boxed
-    first, second = (one.step(drive.odometry[20], drive.scans[20]).belief for one in (pipeline, other))
-    assert np.array_equal(first.p_map, second.p_map)
-
-
-def test_the_benchmark_has_a_row_for_each(own: dict[str, ModuleType], capsys: pytest.CaptureFixture[str]) -> None:
-    rows = benchmark.methods()
-    assert list(rows)[-2:] == list(noise.all_variants())[-2:] == ["global_nearest", "mecp, filter plain_ekf"]
-    assert list(loop.all_variants())[-1] == "global_nearest"
-    assert command.main(["association", "--with", "global_nearest", "plain_ekf", "--sets", "two_rooms:1"]) == 0
-    said = capsys.readouterr().out
-    assert "## two_rooms (1 seeds)" in said
-    assert "| global_nearest |" in said
-    assert "| mecp, filter plain_ekf |" in said
-    assert "## paper" not in said
+    again = SlamPipeline.from_map(SlamMap.of(pipeline))
+    assert type(again.associator) is type(pipeline.associator)
+    assert same(encode(again.filter), encode(pipeline.filter))
 
 
 def damaged(match: Any, view: Any, kind: str) -> Any:
@@ -129,7 +76,6 @@ def damaged(match: Any, view: Any, kind: str) -> Any:
     [
         ("twice", MatchError, "each landmark at most once"),
         ("removed", MatchError, r"match.ids\[0\]: 0 is a track, or removed"),
-        ("known", MatchError, "match.known: 77, a number from -1"),
         ("polygon", MatchError, "match.polygon: 77, a number from -1"),
         ("raises", KeyError, "raises"),
     ],
@@ -180,11 +126,7 @@ def set_mean(self: Any, _: Any) -> None:
     self.mean[3] = np.nan
 
 
-def singular(self: Any, _: Any) -> None:
-    raise np.linalg.LinAlgError("Singular matrix")
-
-
-@pytest.mark.parametrize("spoil", [set_cov, set_mean, singular])
+@pytest.mark.parametrize("spoil", [set_cov, set_mean])
 def test_an_unsound_update_of_a_custom_filter_is_a_divergence(own, drive, spoil, caplog) -> None:
     """Seen: the run went on with a negative variance or a landmark at nan, and did not say so."""
     make = spoilt(own["plain_ekf"], "update", spoil)
@@ -203,7 +145,6 @@ def test_an_unsound_update_of_a_custom_filter_is_a_divergence(own, drive, spoil,
     ("method", "spoil", "said"),
     [
         ("window", lambda _, found: found._replace(state=found.state[:-2, :-2]), r"window: state .* expected"),
-        ("window", lambda _, found: found._replace(state=found.state[0]), r"window: state .* expected"),
         ("window", lambda _, found: None, "window: NoneType, a Window expected"),
         ("predict", set_mean, "Spoilt.predict: a number is not finite"),
     ],
@@ -224,8 +165,7 @@ def fail(self: Any, _: Any) -> None:
     raise KeyError("fails")
 
 
-@pytest.mark.parametrize("method", ["augment", "remove"])
-@pytest.mark.parametrize(("spoil", "error"), [(fail, KeyError), (set_mean, FilterError)])
+@pytest.mark.parametrize(("method", "spoil", "error"), [("augment", fail, KeyError), ("remove", set_mean, FilterError)])
 def test_a_filter_that_fails_while_the_map_grows_changes_nothing(own, drive, method, spoil, error, monkeypatch) -> None:
     """Seen: tracks were landmarks that the filter did not have, and the next step failed as well."""
     monkeypatch.setattr(landmark_map, "find_unconfirmed", lambda _, ids, __, step: ids[: step == 25])
@@ -247,24 +187,12 @@ def test_a_filter_that_fails_while_the_map_grows_changes_nothing(own, drive, met
     assert same(without_associator(pipeline), without_associator(whole))
 
 
-def test_an_empty_filter_that_adds_no_landmark_is_refused(own: dict[str, ModuleType], drive: Drive) -> None:
-    class Idle(own["plain_ekf"].PlainEkf):  # type: ignore[misc,name-defined]
-        def augment(self, z: Any, R: Any, ids: Any) -> None:
-            pass
-
-    with pytest.raises(FilterError, match=r"Idle\.augment: it added none of the landmarks \[0, "):
-        list(fed(SlamPipeline(filter=Idle(SlamConfig().filter)), drive, 0, 30))
-
-
 @pytest.mark.parametrize(
     ("found", "said"),
     [
         (None, "gave None, a tuple of Polygon expected"),
-        ((np.arange(4),), "a tuple of Polygon expected"),
         ((polygon([0, 1, 99]),), r"corners \[0, 1, 99\], three or more different ones of"),
-        ((polygon([0, 1, 1]),), "different ones of"),
         ((replace(polygon([0, 1, 2]), corners=np.zeros(3)),), "corners: an array of float64, one of int64 expected"),
-        ((polygon([0, 1, 2], np.zeros((2, 3))),), r"intervals: shape \(2, 3\), \(2, 4\) expected"),
         ((polygon([0, 1, 2], np.full((1, 4), 3.0)),), r"intervals of edges \[3.0\], from 0 to 2 expected"),
     ],
 )
@@ -280,43 +208,15 @@ def test_a_wrong_polygon_of_a_custom_structure_changes_nothing(own_parts, drive,
     assert same(without_associator(pipeline), before)
 
 
-def test_a_custom_part_is_checked_whatever_of_ours_it_has_inside() -> None:
-    class Around(MecpAssociator):
-        __slots__ = ("others",)
-
-    around, ours = Around(SlamConfig().association), MecpAssociator(SlamConfig().association)
-    around.others = ours
-    assert not is_ours(around)
-    assert is_ours(ours)
-    assert is_ours(WatchedAssociator(ours))
-    assert not is_ours(WatchedAssociator(around))
-
-
-def test_what_is_no_part_is_refused() -> None:
-    for name in ("associator", "filter"):
-        for part in ("ekf", Ekf):
-            with pytest.raises(ConfigError, match=f"{name}: .*(derive from|an object of it expected)"):
-                SlamPipeline(**{name: part})
+def test_what_cannot_be_registered_or_is_not_is_named() -> None:
+    for part in ("ekf", Ekf):
+        with pytest.raises(ConfigError, match=r"filter: .*(derive from|an object of it expected)"):
+            SlamPipeline(filter=part)
     with pytest.raises(ConfigError, match="make: None, a class or a function expected"):
         register_filter("nothing", None)
-
-
-@pytest.mark.parametrize(
-    ("register", "name", "said"),
-    [
-        (register_associator, "mecp", r"name: 'mecp' is one of ours \(mecp, mecp_paper, jcbb, ccda, .*known\)"),
-        (register_associator, "two words", r"name: 'two words', letters, digits and _ expected"),
-        (register_filter, "ekf", r"name: 'ekf' is one of ours \(riekf, riekf_submaps, ekf, fej\)"),
-    ],
-)
-def test_names_that_cannot_be_registered(register, name, said) -> None:
-    with pytest.raises(ConfigError, match=said):
-        register(name, Ekf)
-
-
-def test_a_name_that_nobody_registered_is_told_with_those_there_are() -> None:
-    with pytest.raises(ConfigError, match=r"association\.method: .*'nearest_descriptor' or 'known'.*mean 'nearest'"):
-        SlamConfig(association={"method": "nearst"})
+    for name, said in (("ekf", r"is one of ours \(riekf, riekf_submaps"), ("two words", "letters, digits and _")):
+        with pytest.raises(ConfigError, match=f"name: '{name}'.*{said}"):
+            register_filter(name, Ekf)
     known = r"'riekf', 'riekf_submaps', 'ekf' or 'fej'.*mean 'ekf'.*; others are registered by register_filter"
     with pytest.raises(ConfigError, match=rf"filter\.kind: .*{known}"):
         SlamConfig(filter={"kind": "ekff"})

@@ -41,13 +41,11 @@ def test_wrong_shapes_are_named() -> None:
         Scan.of([1.0], [0.0], 0.0)
     with pytest.raises(SensorError, match="bearings: from -180 to 179, within a turn in rad expected"):
         Scan.of(np.ones(360), np.arange(-180.0, 180.0), 5.0)
-    with pytest.raises(SensorError, match="ranges: half are above 1500, m expected, up to max_range_m = 5"):
-        Scan.of(np.full(360, 1500.0), np.radians(np.arange(360)), 5.0)
     with pytest.raises(SensorError, match="noise"):
         Odometry.between(np.zeros(3), np.zeros(3), (0.0, 0.1))
 
 
-@pytest.mark.parametrize("motion", [(1.0, 0.0, 0.0), (0.4, 0.2, 0.3), (-0.5, 0.1, -0.2), (0.0, 0.3, 0.0), (0, 0, 1)])
+@pytest.mark.parametrize("motion", [(0.4, 0.2, 0.3), (-0.5, 0.1, -0.2), (0.0, 0.3, 0.0), (0, 0, 1)])
 def test_the_arcs_between_two_poses_lead_from_one_to_the_other(motion: tuple[float, float, float]) -> None:
     before = np.array([3.0, -1.0, 2.8])
     after = compose(before, np.array(motion, np.float64))

@@ -1,7 +1,6 @@
-"""The laser: rays against a brute-force twin, noise as named, sweeps interleaved, bits that repeat."""
+"""The laser: rays against a brute-force twin, noise as named, sweeps interleaved."""
 
 import math
-import pickle
 from typing import Any
 
 import numpy as np
@@ -36,7 +35,7 @@ def poses(outline: Outline, count: int, clearance: float = 0.22, seed: int = 0) 
 def check(outline: Outline, fields: dict[str, Any], seed: int = 0, mounting: Any = lambda pose: pose) -> None:
     """Each beam of scans with these settings has the range of its true direction, from where the laser is."""
     laser, sigma = Laser(outline, LaserConfig(**fields)), math.radians(fields.get("bearing_sigma_deg", 0.0))
-    for number, pose in enumerate(poses(outline, 12, seed=seed)):
+    for number, pose in enumerate(poses(outline, 4, seed=seed)):
         scan = laser.scan(pose, np.random.default_rng(number))
         noise = bearing_noise(number, scan.bearings.size).reshape(-1, len(scan.bearings)).T
         for ranges, bearings in zip(scan.ranges, scan.bearings + sigma * noise, strict=True):
@@ -72,7 +71,7 @@ def bearing_noise(seed: int, count: int) -> NDArray[np.float32]:
     return normals(draws(np.random.default_rng(seed), count)[0])
 
 
-@pytest.mark.parametrize(("view", "sweeps"), [(360.0, 1), (360.0, 8), (359.0, 4), (270.0, 1), (33.0, 4)])
+@pytest.mark.parametrize(("view", "sweeps"), [(360.0, 8), (359.0, 4), (33.0, 1)])
 def test_beams_are_within_the_view_and_sweeps_are_interleaved(two_rooms: Outline, view: float, sweeps: int) -> None:
     fields = {"preset": "ideal", "sweeps": sweeps, "beams": 181, "field_of_view_deg": view}
     check(two_rooms, fields, seed=8)
@@ -81,15 +80,6 @@ def test_beams_are_within_the_view_and_sweeps_are_interleaved(two_rooms: Outline
     assert scan.ranges.shape == (sweeps, 181)
     assert burst[[0, -1]] == pytest.approx([step - math.radians(view) / 2.0, math.radians(view) / 2.0])
     assert np.diff(burst) == pytest.approx(np.full(181 * sweeps - 1, step))
-
-
-def test_beside_a_wall(paper: Outline) -> None:
-    laser = Laser(paper, IDEAL)
-    for x in (0.075 + 0.001, 0.075 + 1e-6, 0.075 + 0.22):
-        pose = np.array([x, 2.0, 0.3])
-        scan = laser.scan(pose, np.random.default_rng(0))
-        expected = brute_force(paper.segments, pose, scan.bearings[0])
-        np.testing.assert_allclose(scan.ranges[0], np.maximum(expected, 1e-3), rtol=1e-6, atol=1e-9)
 
 
 def test_rays_through_vertices_find_a_wall(outline: Outline) -> None:
@@ -155,25 +145,6 @@ def test_the_bearing_noise_is_as_named(two_rooms: Outline) -> None:
     errors = np.concatenate([laser.scan(pose, rng).ranges[slanting] - true for _ in range(400)])
     sigma = math.hypot(0.05, true.mean() * math.tan(math.radians(30.0)) * math.radians(0.3))
     assert errors.std() == pytest.approx(sigma, rel=0.03)
-
-
-@pytest.mark.parametrize(("sweeps", "beams"), [(1, 720), (4, 720), (1, 721), (3, 9)])
-def test_the_draws_are_those_of_the_generators_integers(two_rooms: Outline, sweeps: int, beams: int) -> None:
-    """However they are taken from the bits, so that what is drawn from the generator next stays the same too."""
-    fields, pose = {"sweeps": sweeps, "beams": beams, "bearing_sigma_deg": 0.0}, poses(two_rooms, 1)[0]
-    laser, exact = (Laser(two_rooms, LaserConfig(**fields, range_sigma_m=sigma)) for sigma in (0.01, 0.0))
-    true, rng = exact.scan(pose, np.random.default_rng(0)), np.random.default_rng(0)
-    before = rng.bit_generator.state
-    pickle.loads(pickle.dumps(exact)).scan(pose, rng)  # without noise nothing is drawn
-    assert rng.bit_generator.state == before
-    for kind in (np.random.PCG64, np.random.MT19937):
-        one, two = np.random.Generator(kind(4)), np.random.Generator(kind(4))
-        for _ in range(3):
-            noise = (laser.scan(pose, one).ranges - true.ranges) / 0.01
-            expected = normals(draws(two, sweeps * beams)[1]).reshape(-1, sweeps).T
-            assert true.hit.all()
-            np.testing.assert_allclose(noise, expected, atol=1e-4)
-            assert one.standard_normal() == two.standard_normal()
 
 
 def test_line_of_sight_agrees_with_the_rays(outline: Outline) -> None:

@@ -13,7 +13,6 @@ import pytest
 from shapely.geometry import Polygon
 
 from mecp_env.core.errors import LayoutError
-from mecp_env.core.settings import MOST_TOLD
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import BoxSpec
@@ -30,7 +29,6 @@ def test_json_both_ways(name: str, tmp_path: Path) -> None:
     assert layout.name == name
     assert load_layout(path) == load_layout(str(path)) == load_layout(layout) == layout
     assert load_layout(json.loads(json.dumps(layout.model_dump()))) == layout
-    assert load_layout(layout.model_dump()) == layout
     assert pickle.loads(pickle.dumps(layout)) == layout
     path.write_text(layout.to_json(), encoding="utf-16")  # as the shell of Windows redirects
     assert load_layout(path) == layout
@@ -69,21 +67,22 @@ def replace(path: str, value: Any) -> Callable[[Document], None]:
 
 
 PILLAR = {"kind": "round", "centre": [5, 1.8], "radius_m": 0.3}
-LONG_BOX = {"kind": "box", "centre": [7, 2.5], "size": [0.1, 5]}
+SCATTERED = [{"points": [[x, y], [x + 1, y]]} for x in range(-180, 0, 2) for y in range(0, 300, 3)]
 BOW_TIE = [[0, 0], [5, 5], [5, 0], [0, 5]]
 BAD_DOCUMENTS = {
     "unknown key": (replace("colour", "red"), r"layout\.colour"),
     "wrong type": (replace("walls", 3), r"layout\.walls.*3"),
     "number as text": (replace("walls.1.thickness_m", "0.1"), r"walls\.1\.thickness_m.*'0\.1'"),
-    "truth value as number": (replace("doors.0.width_m", True), r"doors\.0\.width_m.*True"),
     "nan": (replace("walls.1.points.0.0", math.nan), r"walls\.1\.points\.0\.0.*nan"),
-    "huge whole number": (replace("starts.0.heading_deg", 10**400), r"starts\.0\.heading_deg"),
     "point of three": (replace("walls.1.points.0", [1, 2, 3]), r"walls\.1\.points\.0"),
     "far away": (replace("walls.1.points.0", [5000, 0]), r"walls\.1\.points\.0\.0.*1000.*5000"),
-    "thin wall": (replace("walls.1.thickness_m", 0.001), r"walls\.1\.thickness_m.*0\.02.*0\.001"),
     "zero-length wall": (replace("walls.1.points", [[5, 0], [5, 0]]), r"walls\.1.*0\.01 m apart"),
-    "no walls": (replace("walls", []), r"walls.*at least 1"),
-    "too many walls": (replace("walls", [{"points": [[0, 0], [1, 0]]}] * 10_001), r"walls.*at most 10000"),
+    "too many rooms": (
+        replace("rooms", [{"name": str(k), "polygon": BOW_TIE} for k in range(1001)]),
+        "rooms: .*at most 1000",
+    ),
+    "long name": (replace("rooms.0.name", "x" * 900_000), r"rooms\.0\.name: .*at most 80 characters"),
+    "too many faces": (replace("walls", SCATTERED), r"36\d{3} faces, at most 20000 \(two for each point of a wall"),
     "walls in a heap": (replace("walls", [{"points": [[0, 0], [9, 5]]}] * 1000), r"walls: too many .* at most 1000000"),
     "later version": (replace("version", 2), r"version.*1.*2"),
     "same name twice": (replace("rooms.1.name", "west"), r"rooms\.1\.name: 'west'"),
@@ -94,7 +93,6 @@ BAD_DOCUMENTS = {
     "door not square": (replace("doors.0.direction_deg", 30), r"doors\.0\.direction_deg: 30"),
     "door too wide": (replace("doors.0.width_m", 4.5), r"doors\.0\.width_m: 4\.5 .* at most 3\.600"),
     "door the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre.*not between its rooms"),
-    "door in the outer wall": (replace("doors.0.centre", [0, 2]), r"doors\.0\.centre.*not between its rooms"),
     "door to nowhere": (replace("doors.0.rooms", ["west", "north"]), r"doors\.0\.rooms\.1: .*'north'"),
     "start in a wall": (replace("starts.0.point", [5.03, 4]), r"starts\.0\.point: \(5\.03, 4\.0\) lies inside"),
     "start near a wall": (replace("starts.1.point", [8.8, 2]), r"starts\.1\.point: .* 0\.125 m from a wall.*0\.22"),
@@ -102,16 +100,11 @@ BAD_DOCUMENTS = {
     "room without a door": (replace("doors", []), r"starts\.1\.point.*cut off|rooms\.1.*cannot be reached"),
     "narrow door": (replace("doors.0.width_m", 0.4), r"rooms\.1: 'east' cannot be reached by a radius of 0\.22 m"),
     "blocked door": (replace("obstacles", [PILLAR]), r"rooms\.1: 'east' cannot be reached|doors\.0"),
-    "start walled in": (replace("obstacles", [LONG_BOX]), r"starts\.1\.point"),
     "key of a wall": (replace("walls.1.thicknes_m", 0.1), r"walls\.1\.thicknes_m: no such field; .*'thickness_m'"),
     "tiny": (replace("rooms.0.polygon.1.0", 1.9e-230), "rooms"),  # a warning is an error here, too
     "key": (replace("strats", []), r"layout\.strats: no such field; did you mean 'starts'\? \(given: \[\]\)$"),
-    "opening": (replace("doors.0.opening", "cutt"), r"doors\.0\.opening: .*did you mean 'cut'\? \(given: 'cutt'\)$"),
     "room": (replace("doors.0.rooms.0", "wets"), r"doors\.0\.rooms\.0: no room is called 'wets'; .*'west'\?$"),
-    "kind": (
-        replace("obstacles", [{"kind": "boxx", "centre": [1, 1], "size": [1, 1]}]),
-        r"obstacles\.0: .*mean 'box'\?",
-    ),
+    "kind": (replace("obstacles", [{"kind": "boxx"}]), r"obstacles\.0: .*mean 'box'\?"),
     "any length": (replace("doors.0.width_m", 10**5000), r"doors\.0\.width_m"),
 }
 
@@ -129,27 +122,13 @@ def test_bad_documents_are_refused_with_their_field(name: str, document: Documen
             load_layout(path)
 
 
-def test_all_faults_of_a_kind_are_told_at_once(document: Document) -> None:
-    replace("doors.0.width_m", 4.5)(document)
-    document["doors"] += [document["doors"][0] | {"rooms": ["west", "nort"]}] * 30
-    with pytest.raises(LayoutError) as refused:
-        load_layout(document)
-    told = str(refused.value).split("; ")
-    assert told[0].startswith("doors.0.width_m: 4.5 is wider")
-    assert told[1].startswith("doors.1.rooms.1: no room is called 'nort'")
-    assert told[-1] == f"and {31 - MOST_TOLD} more"
-
-
 BAD_FILES = {
     "too large": (b" " * 2_000_001, "2000001 bytes, at most 2000000"),
     "too deep": (b'{"walls": ' + b"[" * 40 + b"]" * 40 + b"}", r"walls\.0: "),
     "far too deep": (b"[" * 200_000, "no JSON: maximum recursion depth"),
-    "cut off": (b'{"walls": [', "no JSON"),
     "not text": (b"\xff\xfe\x00\x80", "no JSON"),
-    "empty": (b"", "no JSON"),
     "a list": (b"[1, 2]", "given list"),
     "a key twice": (b'{"name": "a", "name": "b"}', "name: given twice"),
-    "nan": (b'{"version": NaN}', "version"),
     "many digits": (b'{"version": ' + b"1" * 5000 + b"}", "no JSON"),
     "half a character": (b'{"name": "\\ud800", "\\ud800": 1}', "unicode"),
 }
@@ -172,9 +151,7 @@ def two_doors(along_m: float, **changes: Any) -> Document:
     return document
 
 
-@pytest.mark.parametrize(
-    ("along_m", "changes"), [(0.0, {}), (0.0, {"width_m": 0.1}), (0.4, {}), (0.9, {}), (0.0, {"width_m": 1.4})]
-)
+@pytest.mark.parametrize(("along_m", "changes"), [(0.0, {}), (0.9, {}), (0.0, {"width_m": 1.4})])
 def test_two_doors_in_one_place_are_refused(along_m: float, changes: Document) -> None:
     """Seen: a layout with a duplicate door was explored to the step limit, because one copy can never be found."""
     with pytest.raises(LayoutError, match=r"doors\.1\.centre: \[5\.0, .* m wide, touches the doorway of doors\.0"):
@@ -186,18 +163,15 @@ def test_what_is_no_layout_is_refused(tmp_path: Path) -> None:
     for given_name in ("papre", "", "a\0b", "x" * 5000, tmp_path, tmp_path / "none.json"):
         with pytest.raises(LayoutError, match=r"no such file; shipped layouts are furn.*two_rooms|cannot be read"):
             load_layout(given_name)
-    for given_name, meant in (("papre", "paper"), ("two_room", "two_rooms"), ("Office", "office")):
-        with pytest.raises(LayoutError, match=f"did you mean '{meant}'"):
-            load_layout(given_name)
+    with pytest.raises(LayoutError, match="did you mean 'two_rooms'"):
+        load_layout("two_room")
     path = tmp_path / "layout.yaml"
     path.write_text(load_layout("two_rooms").to_json())
     with pytest.raises(LayoutError, match=r"ends in \.json, given '\.yaml'"):
         load_layout(path)
-    for wrong in (None, 3, [], b"paper", {1: 2}):
+    for wrong in (None, b"paper", {1: 2}):
         with pytest.raises(LayoutError):
             load_layout(wrong)
-    with pytest.raises(LayoutError, match=r"layout\.rooms: .*at least 1 item"):
-        Layout(name="x", walls=[], rooms=[], starts=[])
 
 
 @pytest.mark.parametrize("name", shipped_layouts())
@@ -210,15 +184,6 @@ def test_the_direction_of_a_cut_follows_from_its_wall(name: str) -> None:
     assert there == load_layout(name) == load_layout(json.loads(there.to_json()))
     for door, other in zip(there.doors, back.doors, strict=True):
         assert (door.heading - other.heading) % math.tau == pytest.approx(math.pi)
-
-
-@pytest.mark.parametrize("name", ["door in the outer wall", "door to nowhere", "door off its wall"])
-def test_a_door_without_a_direction_may_be_wrong_otherwise(name: str, document: Document) -> None:
-    spoil, message = BAD_DOCUMENTS[name]
-    spoil(document)
-    del document["doors"][0]["direction_deg"]
-    with pytest.raises(LayoutError, match=message):
-        load_layout(document)
 
 
 def solid_house() -> Document:
@@ -260,11 +225,9 @@ BAD_SOLIDS = {
     "too many points": (replace("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2), r"rooms: 24\d{3} faces"),
     "gap without direction": (replace("doors.0.direction_deg", None), r"doors\.0: .*a gap has direction_deg"),
     "gap without depth": (replace("doors.0.depth_m", None), r"doors\.0: .*a gap has depth_m"),
-    "cut with depth": (replace("doors.0.opening", "cut"), r"doors\.0: .*a cut has none"),
     "cut without walls": (replace("doors.0", CUT), r"doors\.0\.opening: cut, but the layout has no walls"),
     "gap in a solid": (replace("doors.0.centre", [4.05, 2.4]), r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
     "gap in the open": (replace("doors.0.width_m", 0.5), r"doors\.0\.width_m: an end is 0\.20 m from a wall, at most"),
-    "gap twice": (lambda document: document["doors"].append(document["doors"][0]), r"doors\.1\.centre: .* of doors\.0"),
     "gap the wrong way": (replace("doors.0.direction_deg", 180), r"doors\.0\.centre: .*not between its rooms"),
 }
 

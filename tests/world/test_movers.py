@@ -8,12 +8,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.core.errors import ConfigError
-from mecp_env.core.snapshot import StateError
-from mecp_env.core.snapshot_check import check_shapes
-from mecp_env.episode.episode import SHAPES
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
-from mecp_env.world import drive
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
 from mecp_env.world.doors import close_doors, draw_closed
@@ -72,7 +67,7 @@ def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
         yield simulation.step(v, w).contact
 
 
-@pytest.mark.parametrize(("name", "polite"), [("paper", True), ("furnished", False), ("office", True)])
+@pytest.mark.parametrize(("name", "polite"), [("paper", True), ("furnished", False)])
 def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) -> None:
     simulation, movers = world(name, polite=polite)
     walked, rooms = np.zeros(len(movers.state.pedestrians)), [set[int]() for _ in movers.state.pedestrians]
@@ -91,7 +86,7 @@ def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) ->
 
 def test_polite_pedestrians_never_step_up_to_a_robot_that_drives() -> None:
     simulation, movers = world("paper", 3, people=10)
-    for _ in random_drive(simulation, 600):
+    for _ in random_drive(simulation, 400):
         near, _ = gaps(movers, simulation.T_world_robot[:2])
         steps = movers.state.pedestrians[:, crowd.MOVES] > 0.0
         towards = simulation.T_world_robot[:2] - movers.state.pedestrians[:, :2]
@@ -103,7 +98,7 @@ def test_pedestrians_who_are_not_polite_bump_into_the_robot_but_not_through_it()
     simulation, movers = world("two_rooms", 1, people=6, polite=False, speed_m_s=(0.8, 1.2))
     simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))  # blocking the pedestrians
     touched, deepest = 0, np.inf
-    for _ in range(600):
+    for _ in range(400):
         touched += simulation.step(0.0, 0.0).contact
         deepest = min(deepest, gaps(movers, simulation.T_world_robot[:2])[0].min())
         x, y, _ = simulation.T_world_robot
@@ -128,15 +123,6 @@ def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
     assert not resting[0, 3:].any()
     simulation.step(0.0, 0.0)
     assert movers.state.boxes.tobytes() == resting.tobytes()
-
-
-def test_the_robot_does_not_enter_a_box_before_a_wall() -> None:
-    simulation, movers = with_box(OUTLINES["two_rooms"], [4.6, 3.5, 0.0], [0.5, 0.5], [2.5, 3.5, 0.0])
-    for _ in range(60):
-        simulation.step(0.75, 0.0)
-    box = movers.state.boxes[0]
-    assert box[0] == pytest.approx(4.94 - 0.25, abs=0.03)
-    assert box[0] - simulation.T_world_robot[0] > 0.25 + ROBOT.radius_m - 0.02
 
 
 def test_the_laser_sees_pedestrians_and_boxes() -> None:
@@ -179,23 +165,6 @@ def test_a_leg_is_clear_when_no_face_comes_near() -> None:
             assert clear_leg(outline.segments, *a, *b, 0.25) == (far > 0.25)
 
 
-def test_wrong_fields_and_torn_states_are_refused() -> None:
-    with pytest.raises(ConfigError, match="least <= most"):
-        CrowdConfig(speed_m_s=(1.0, 0.5))
-    with pytest.raises(ConfigError, match="people"):
-        CrowdConfig(people=-1)
-    _, movers = world("two_rooms")
-    assert movers.state.can_continue()
-    legs = movers.state.legs.copy()
-    movers.state.legs[0, 0] = legs[0, 1]  # behind the end of the route
-    assert not movers.state.can_continue()
-    movers.state.legs, movers.state.places = legs, np.empty((0, 2))
-    assert not movers.state.can_continue()
-    movers.state.routes = movers.state.routes[:2]
-    with pytest.raises(StateError, match=r"state\.moving\.routes"):
-        check_shapes(movers.state, SHAPES, "state.moving", {})
-
-
 CROWDED = {"people": 8, "polite": False, "speed_m_s": (0.8, 1.2)}
 
 
@@ -220,21 +189,3 @@ def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) 
             assert other.state.boxes.tobytes() == movers.state.boxes.tobytes()
             assert other.state.pedestrians.tobytes() == movers.state.pedestrians.tobytes()
     assert touched > 5
-
-
-def test_what_may_touch_the_robot_or_a_box_that_moves() -> None:
-    pedestrians = np.zeros((4, crowd.PEDESTRIAN))
-    pedestrians[:, crowd.RADIUS], pedestrians[:, crowd.PACE] = 0.25, 1.0
-    pedestrians[:, :2] = [[0.5, 0.0], [0.0, 2.0], [3.0, 1.0], [3.0, 6.0]]  # at the robot, too far, at a box, nowhere
-    boxes, sizes = np.zeros((4, 6)), np.full((4, 2), 0.4)
-    boxes[:, :2] = [[0.7, 0.0], [1.4, 0.0], [5.0, -3.0], [9.0, 0.0]]  # at the robot, behind that box, at rest, sliding
-    boxes[3, 3] = 0.1
-    rounds = np.column_stack([boxes[:, :2], np.full(4, 0.283)])
-    limits = drive.RobotLimits(dt=0.01, max_dv=0.01, max_dw=0.05, stride=0.005, radius=0.22, substeps=4)
-    moving = drive.MovingBodies(pedestrians, boxes, sizes, rounds, np.zeros(crowd.ROBOT), polite=True)
-    met, pushed = drive.may_touch(moving, np.zeros(6), limits, 16)
-    assert met.tolist() == [True, False, False, False]
-    assert pushed.tolist() == [True, True, False, True]
-    pedestrians[2, :2] = 9.0, 0.6
-    met, _ = drive.may_touch(moving, np.zeros(6), limits, 16)
-    assert met.tolist() == [True, False, True, False]

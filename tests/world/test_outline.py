@@ -108,16 +108,6 @@ def test_a_pillar_has_faces_but_no_corners() -> None:
     assert (5.88 * 3.88 - free) == pytest.approx(math.pi * 0.09, rel=0.01)
 
 
-def test_a_turned_box_has_four_convex_corners() -> None:
-    outline = built([], [{"kind": "box", "centre": [3, 2], "size": [1, 0.5], "turn_deg": 30}])
-    convex = outline.corners.convex
-    assert convex.sum() == 4
-    assert np.sort(outline.corners.faces[convex].ravel()) == pytest.approx([0.5] * 4 + [1.0] * 4, abs=1e-5)
-    assert np.linalg.norm(outline.corners.p_world[convex] - (3, 2), axis=1) == pytest.approx(
-        math.hypot(0.5, 0.25), abs=1e-5
-    )
-
-
 def test_a_slanted_wall_makes_obtuse_corners() -> None:
     outline = built([{"points": [(4, 0), (6, 2)]}])
     turns = np.degrees(np.diff(outline.corners.normals, axis=1)).ravel() % 360.0

@@ -3,17 +3,16 @@
 import numpy as np
 import pytest
 
-from mecp_env.slam.association import OracleAssociator, make_associator
 from mecp_env.slam.association.gating import MatchBuilder
 from mecp_env.slam.association.paper import PostsApart
-from mecp_env.slam.config import AssociationConfig, SlamConfig
-from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
+from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
+from mecp_env.slam.filters import make_filter
+from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
 from tests.slam.drives import Given
 
 JAMB = int(CornerKind.JAMB)
-APART = AssociationConfig(use_posts=False)
 
 
 def kinds(pipeline: SlamPipeline, ids: np.ndarray) -> np.ndarray:
@@ -48,60 +47,31 @@ def test_posts_in_the_filter_change_no_other_estimate(drive):
     np.testing.assert_allclose(after.pose_cov, output.belief.pose_cov, atol=1e-12)
 
 
-def shown_to(answer, drive):
-    """Pipeline, output and match of each scan of a drive, were the associator without posts one that answers so."""
-    for pipeline, output, _, _ in drive.run(SlamConfig(association={"use_posts": False})):
-        nowhere = np.full(len(output.corners), -1)
-        view = pipeline.map.view(output.belief, pipeline.rooms.graph(), nowhere, output.step)
-        plain, posts = (np.flatnonzero((output.corners.kind == JAMB) == post) for post in (False, True))
-        rings = (np.append(plain[:3], posts[:1]), plain[1:4])
-        apart = PostsApart(Given(answer), APART)
-        yield pipeline, output, apart.associate(output.corners, tuple(map(make.polygon, rings)), view, pipeline.filter)
+def test_the_other_associator_sees_no_posts_and_its_decisions_come_back_for_the_right_corners():
+    """Landmarks 1 and 3 are posts, corner 1 is one; a corner that is none is named only as a post."""
+    points, R = np.array([(4.0, 3.0), (-3.0, 4.0), (-5.0, -2.0), (3.0, -4.0), (6.0, -1.0)]), 1e-4 * np.eye(10)
+    estimate = make_filter(FilterConfig())
+    estimate.augment(make.polar(points), R, np.arange(5))
+    corners = make.corners(points=points, cov=R, kind=[0, JAMB, 0, 0, 0])
+    table = make.features(5, state=FeatureState.LANDMARK, kind=[0, JAMB, 0, JAMB, 0])
+    view = make.view(estimate.belief(), table, corners, make.graph(UNKNOWN_ROOM, ()), [(0, 2, 4), (0, 1, 2)])
+    config, rings = AssociationConfig(use_posts=False, use_rooms=False, use_descriptor=False), [(0, 1, 2), (0, 2, 4)]
 
-
-def test_corners_and_polygons_of_the_scan_keep_their_numbers(drive):
-    """The other associator sees neither posts nor polygons with one; its decisions come back for the right corners."""
-    seen, checked = [], 0
-
-    def first_corner(corners, polygons, view, belief):
-        seen.append((corners, polygons, view))
-        builder = MatchBuilder(len(corners))
-        if len(corners) and len(view.features):
-            builder.assign(0, Decision.LANDMARK, Reason.POLYGON, 0, 2.5)
+    def first_corner(seen, polygons, shown, belief):
+        np.testing.assert_array_equal(seen.z, corners.z[[0, 2, 3, 4]])
+        assert [polygon.corners.tolist() for polygon in polygons] == [[0, 1, 3]]
+        assert shown.belief.ids.tolist() == belief.ids.tolist() == [0, 2, 4]
+        assert shown.groups[3].ids.tolist() == [[0, 2, 4]]
+        builder = MatchBuilder(4)
+        builder.assign(0, Decision.LANDMARK, Reason.POLYGON, 0, 2.5)
         builder.polygon, builder.map_polygon = 0, 7
         return builder.match()
 
-    for pipeline, output, match in shown_to(first_corner, drive):
-        plain, posts = (np.flatnonzero((output.corners.kind == JAMB) == post) for post in (False, True))
-        if not len(posts) or len(plain) < 4 or posts[0] > plain[1]:
-            continue
-        corners, polygons, view = seen[-1]
-        np.testing.assert_array_equal(corners.z, output.corners.z[plain])
-        assert [list(polygon.corners) for polygon in polygons] == [[1, 2, 3]]
-        assert (kinds(pipeline, view.belief.ids) != JAMB).all()
-        assert all((kinds(pipeline, group.ids) != JAMB).all() for group in view.groups.values())
-        assert (match.polygon, match.known) == (1, 7)
-        assert (match.decision[plain[0]], match.nis[plain[0]]) == (Decision.LANDMARK, 2.5)
-        assert (match.decision[posts] != Decision.LANDMARK).all()
-        checked += 1
-    assert checked > 5
-
-
-def test_a_corner_that_is_no_post_is_named_only_as_a_post(drive):
-    plain_named = posts_named = 0
-    for pipeline, output, match in shown_to(lambda corners, *_: MatchBuilder(len(corners)).match(), drive):
-        named = np.flatnonzero(match.decision == int(Decision.PROVISIONAL))
-        plain = named[output.corners.kind[named] != JAMB]
-        assert (kinds(pipeline, match.ids[plain]) == JAMB).all()
-        plain_named, posts_named = plain_named + len(plain), posts_named + len(named) - len(plain)
-    assert plain_named > 0
-    assert posts_named > 50
-
-
-def test_known_correspondences_include_posts():
-    config = AssociationConfig(use_posts=False, method="known")
-    assert isinstance(make_associator(config), OracleAssociator)
-    assert isinstance(make_associator(APART), PostsApart)
+    match = PostsApart(Given(first_corner), config).associate(corners, tuple(map(make.polygon, rings)), view, estimate)
+    assert (match.polygon, match.known, match.nis[0]) == (1, 7, 2.5)
+    assert match.ids.tolist() == [0, 1, -1, 3, -1]
+    named = [Decision.LANDMARK, Decision.PROVISIONAL, Decision.NEW, Decision.PROVISIONAL, Decision.NEW]
+    assert match.decision.tolist() == named
 
 
 def test_the_papers_mode_leaves_posts_out():

@@ -94,7 +94,7 @@ def exhaustive(z, R, h, HPH, choices, gates, _):
     return best[0], -best[1]
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_jcbb_finds_as_many_pairs_at_the_same_distance_as_an_exhaustive_search(seed):
     rng = np.random.default_rng(seed)
     search = Scene(rng, landmarks=5, spurious=seed % 3, sigma=(0.05, 0.5, 1.0)[seed % 3]).search(0.99)
@@ -132,7 +132,7 @@ def exhaustive_clique(edges, group, cost):
     return max((c for c in chosen if total(c) < np.inf), key=lambda c: (len(c), -total(c)))
 
 
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("seed", range(3))
 def test_ccda_finds_the_clique_of_an_exhaustive_search(seed):
     graph = random_graph(np.random.default_rng(seed), density=(0.3, 0.6, 0.9)[seed % 3])
     found, tried = maximum_clique(*graph, 1, MANY)
@@ -211,17 +211,7 @@ def test_the_joint_test_of_ccda_leaves_out_the_pair_that_disturbs():
         assert fits.tolist() == kept
 
 
-@pytest.mark.parametrize("method", RIVALS)
-def test_only_the_descriptor_tells_corners_apart_whose_faces_are_turned(method):
-    scene = Scene(np.random.default_rng(10), landmarks=6, spurious=0, sigma=0.02)
-    scene.turned = 1.0
-    with_descriptor = len(scene.associated(method=method).recognised())
-    without = len(scene.associated(method=method, use_descriptor=False).recognised())
-    fixed = {"nearest_room": (6, 6), "nearest_descriptor": (0, 0)}  # the name decides
-    assert (with_descriptor, without) == fixed.get(method, (0, 6))
-
-
-@pytest.mark.parametrize("method", ["jcbb", "ccda", "joint_descriptor", "nearest_room", "mecp_paper"])
+@pytest.mark.parametrize("method", ["jcbb", "ccda", "nearest_room", "mecp_paper"])
 def test_in_closed_loop_the_rivals_map_two_rooms(drive, method):
     recognised, right, wrong, identity = 0, 0, 0, {}
     for _, output, true, error in drive.run(SlamConfig(association=AssociationConfig(method=method))):  # noqa: B007
@@ -284,10 +274,3 @@ def test_one_corner_is_paired_unless_another_landmark_is_as_near() -> None:
         scene.z, scene.true, scene.R = scene.z[seen], scene.true[seen], scene.R[:2, :2]
         match = moved(scene, (0.1, 0.0, 0.0), (0.2, 0.2, 0.05)).associated(method="mecp")
         assert len(match.recognised()) == pairs
-
-
-def test_a_reflection_is_no_pose() -> None:
-    scene = Scene(np.random.default_rng(4), p_robot=SHAPE, spurious=0)
-    scene.z[:, 1] *= -1.0
-    match = moved(scene, (0.0, 0.0, 0.0)).associated(method="mecp", use_descriptor=False)
-    assert len(match.recognised()) < 5

@@ -1,4 +1,4 @@
-"""A filter with a map, and random measurements with correlated corners."""
+"""Random lives of filters, of one beside its reference implementation, and measurements of correlated corners."""
 
 from typing import Any
 
@@ -32,6 +32,62 @@ def random_odometry(rng: np.random.Generator, arcs: int = 4, bumper: bool = Fals
 
 def sensor_cov(rng: np.random.Generator, count: int) -> Any:
     return random_cov(rng, np.tile([0.05, 0.01], count))
+
+
+class Life:
+    """Filters with the same random life; measurements are near what the first one expects."""
+
+    def __init__(self, *filters: Any, seed: int) -> None:
+        self.filters, self.rng, self.born = filters, np.random.default_rng(seed), 0
+
+    def live(self, *steps: str) -> None:
+        for step in steps:
+            getattr(self, step)()
+
+    def each(self, name: str, *arguments: Any) -> list[Any]:
+        return [getattr(some, name)(*arguments) for some in self.filters]
+
+    def predict(self, bumper: bool = False) -> None:
+        self.each("predict", random_odometry(self.rng, int(self.rng.integers(1, 4)), bumper))
+
+    def slip(self) -> None:
+        self.predict(bumper=True)
+
+    def augment(self) -> None:
+        m = int(self.rng.integers(1, 6))
+        z = np.column_stack((self.rng.uniform(1.0, 9.0, m), self.rng.uniform(-np.pi, np.pi, m)))
+        self.each("augment", z, sensor_cov(self.rng, m), self.born + np.arange(m))
+        self.born += m
+
+    def look(self, ids: Any, sharp: float = 1.0) -> tuple[Any, Any]:
+        nu, _ = self.filters[0].innovation(np.zeros((len(ids), 2)), np.eye(2 * len(ids)), ids)
+        z = -nu.reshape(-1, 2) + sharp * self.rng.normal(size=(len(ids), 2)) * [0.05, 0.01]
+        return z, sharp**2 * sensor_cov(self.rng, len(ids))
+
+    def update(self, iterate: bool = False, sharp: float = 1.0) -> None:
+        ids = self.rng.permutation(self.filters[0].ids)[:5]
+        self.each("update", *self.look(ids, sharp), ids, iterate)
+
+    def iterate(self) -> None:
+        self.update(iterate=True)
+
+    def sharp(self) -> None:
+        self.update(sharp=1e-3)
+
+    def merge(self) -> None:
+        """The two nearest landmarks become one."""
+        belief = self.filters[0].belief()
+        if len(belief.ids) >= 2:
+            distance = np.hypot(*(belief.p_map[:, None] - belief.p_map).transpose(2, 0, 1))
+            np.fill_diagonal(distance, np.inf)
+            i, j = np.unravel_index(distance.argmin(), distance.shape)
+            self.each("fuse", int(belief.ids[i]), int(belief.ids[j]))
+
+    def remove(self) -> None:
+        self.each("remove", self.rng.permutation(self.filters[0].ids)[:2])
+
+    def pin(self) -> None:
+        self.each("set_pose", self.filters[0].belief().T_map_robot + self.rng.normal(size=3) * 0.01)
 
 
 class Pair:

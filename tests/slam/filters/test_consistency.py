@@ -25,19 +25,13 @@ def test_invariant_filter_is_consistent(riekf):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("variance", [ring.per_metre, ring.linear, ring.per_step])
+@pytest.mark.parametrize("variance", [ring.per_metre, ring.per_step])
 def test_invariant_filter_is_consistent_over_sixty_runs(variance):
     runs = ring.monte_carlo(RIEKF, TWO_LAPS, 60, variance=variance)
     assert BAND[0] < runs.mean_nees(0.0, 0.5) < BAND[1]
     assert BAND[0] < runs.mean_nees(0.5, 1.0) < BAND[1]
     assert BAND[0] < runs.mean_nees(1.0, 2.0) < (BAND[1] if variance is not ring.per_step else 4.5)
     assert 1.8 < runs.nees[:, runs.closure].mean() < BAND[1]
-
-
-def test_the_loop_is_closed_and_pays(riekf):
-    before = np.sqrt((riekf.error_m[:, riekf.closure - 5] ** 2).mean())
-    after = np.sqrt((riekf.error_m[:, riekf.closure] ** 2).mean())
-    assert after < 0.5 * before
 
 
 def test_plain_filter_is_not_consistent(riekf):

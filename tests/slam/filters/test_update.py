@@ -23,14 +23,6 @@ def test_bearings_are_wrapped_behind_the_robot(kind):
     assert np.hypot(*(estimate.belief().p_map[0] - [-2.0, 0.0])) < 0.03
 
 
-def test_nothing_seen_changes_nothing(pair):
-    before = copy.deepcopy(pair.filter)
-    pair.filter.update(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
-    pair.filter.augment(np.empty((0, 2)), np.empty((0, 0)), np.empty(0, np.int64))
-    np.testing.assert_array_equal(pair.filter.mean, before.mean)
-    np.testing.assert_array_equal(pair.filter.cov, before.cov)
-
-
 def lost(kind: str, heading_error: float, seed: int = 0) -> tuple[Pair, np.ndarray, np.ndarray, np.ndarray]:
     """A robot that turned wrongly six metres ago (its covariance knows), and what it now sees of five landmarks.
 

@@ -11,7 +11,7 @@ from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.messages import ClusterKind
 from tests.slam import make
 from tests.slam.make import MAX_RANGE_M
-from tests.slam.scans import EXACT, PAPER, ROOM, blank_scan, chain, take_scan
+from tests.slam.scans import EXACT, PAPER, ROOM, chain, take_scan
 
 SEGMENTS = SegmentConfig()
 PAPER_RULE = ClusteringConfig(threshold="adaptive")
@@ -81,13 +81,6 @@ def test_kinds():
     beams = merge_sweeps(take_scan(np.concatenate([post, wall]), EXACT), EXACT)
     kinds = cluster_beams(beams, ClusteringConfig(), SEGMENTS, EXACT).kind.tolist()
     assert kinds == [ClusterKind.SMALL, ClusterKind.LINES]
-
-
-def test_scans_with_next_to_nothing():
-    assert len(cluster_beams(merge_sweeps(blank_scan(), PAPER), ClusteringConfig(), SEGMENTS, PAPER).first) == 0
-    lone = cluster_beams(lone_hits([2.0]), ClusteringConfig(), SEGMENTS, PAPER)
-    assert (len(lone.first), lone.kind[0]) == (1, ClusterKind.SMALL)
-    assert spans(cluster_beams(lone_hits([2.0, 2.0]), ClusteringConfig(), SEGMENTS, PAPER)) == [{300, 301}]
 
 
 def test_a_laser_with_less_than_a_full_circle_has_a_gap_behind():

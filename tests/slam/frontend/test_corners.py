@@ -102,28 +102,11 @@ def test_a_wall_that_goes_on_behind_a_post_has_no_end_there():
         assert len(corners) == 4
 
 
-def test_an_end_is_never_off_by_more_than_its_sigma_where_the_same_beams_pass_it_every_time():
-    """The spacing of the beams is all that is unknown, and the error stays as long as the robot does not move."""
-    off = []
-    for y in np.linspace(1.0, 1.03, 40):
-        corners, points = corners_of(chain((2.0, -3.0), (2.0, y)), EXACT, 0, 1)
-        i = at(points, 2.0, y, within=0.1)
-        off.append((corners.z[i, 1] - math.atan2(y, 2.0)) / math.sqrt(corners.R[i, 1, 1]))
-    assert 0.7 < np.abs(off).max() < 1.1
-
-
 @pytest.mark.parametrize(
-    ("sensor", "sweeps", "end"),
-    [
-        (PAPER, 1, (2.0, 1.0)),
-        (PAPER, 4, (1.2, 1.5)),
-        (PAPER, 4, (3.0, -0.4)),
-        (LMS200, 1, (3.0, -0.4)),
-        (LMS200, 4, (2.0, 1.0)),
-    ],
+    ("sensor", "sweeps", "end"), [(PAPER, 1, (2.0, 1.0)), (PAPER, 4, (3.0, -0.4)), (LMS200, 4, (2.0, 1.0))]
 )
 def test_a_line_end_is_where_it_is_and_knows_how_well(sensor, sweeps, end):
-    """A wall 0.15 m thick; from the third end its end face is seen, hardly longer than the noise."""
+    """A wall 0.15 m thick; from the second end its end face is seen, hardly longer than the noise."""
     solid = chain((end[0], -3.0), end, (end[0] + 0.15, end[1]), (end[0] + 0.15, -3.0))
     faces = np.concatenate([solid, FAR_ROOM])
     nis, errors = [], []
@@ -161,20 +144,19 @@ def test_ends_and_oblique_corners_are_neither_missed_nor_moved(faces, point, lea
     assert np.abs(errors.mean(axis=0)).max() < off_m
 
 
-@pytest.mark.parametrize("short_faces", [True, False])
-def test_a_face_too_short_for_a_segment_still_makes_a_corner_unless_it_is_left_out(short_faces):
+def test_a_face_too_short_for_a_segment_still_makes_a_corner():
     """A room corner whose second wall is hidden but for 0.2 m: concave, with both normals."""
     room = ring((3.0, -3.0), (3.0, 1.0), (-2.0, 1.0), (-2.0, -3.0))
     screen = chain((1.4, 0.50), (1.4, 0.9))  # hides the left wall but for its last 0.2 m, shadow from x = 1.6 to 2.8
-    config, found = SlamConfig(corners=CornerConfig(short_faces=short_faces)), 0
+    found = 0
     for seed in range(10):
-        corners = front_end(take_scan(np.concatenate([room, screen]), LMS200, seed), LMS200, config)[-1]
-        near = np.flatnonzero(np.hypot(*(polar_to_points(corners.z) - [3.0, 1.0]).T) < (0.05 if short_faces else 0.3))
+        corners, points = corners_of(np.concatenate([room, screen]), LMS200, seed)
+        near = np.flatnonzero(np.hypot(*(points - [3.0, 1.0]).T) < 0.05)
         for i in near:
             assert not corners.convex[i]
             np.testing.assert_allclose(np.exp(1j * corners.normals[i]), [-1.0, -1.0j], atol=0.2)
         found += len(near)
-    assert found >= 9 if short_faces else found == 0
+    assert found >= 9
 
 
 def with_door(width=0.9, thickness=0.12, x=2.0):

@@ -109,18 +109,12 @@ def test_polygons_cover_their_interior_and_bring_their_room() -> None:
     grid = toy.output().grid
     area = grid.polygon.sum() * grid.resolution_m**2
     assert area == pytest.approx(24.0, rel=0.02)
+    all_landmarks, known, toy.p_map = toy.p_map, tuple(toy.polygons), toy.p_map[:2]
     toy.polygons.clear()
-    assert not toy.output().grid.polygon.any()
-
-
-def test_a_polygon_waits_for_its_landmarks() -> None:
-    toy = Toy(np.array([1.0, 2.0, 0.0]))
-    all_landmarks, toy.p_map = toy.p_map, toy.p_map[:2]
-    toy.confirmed = False
-    toy.add_polygon([0, 1, 2, 3], 0)
-    assert not paint(toy, make.graph(), tuple(toy.polygons)).polygon.any()
+    assert not paint(toy, make.graph()).polygon.any()
+    assert not paint(toy, make.graph(), known).polygon.any()  # it waits for its landmarks
     toy.p_map = all_landmarks
-    assert paint(toy, make.graph(), tuple(toy.polygons)).polygon.any()
+    assert paint(toy, make.graph(), known).polygon.any()
 
 
 def test_a_loop_closure_redraws_the_map() -> None:
@@ -183,14 +177,6 @@ def test_the_version_tells_when_a_cell_changed(tour: Toy) -> None:
     assert toy.output().grid.version > first.version
 
 
-def test_an_empty_map_is_painted_before_there_are_landmarks() -> None:
-    toy = Toy(np.array([1.0, 2.0, 0.0]))
-    for belief, anchored in ((make.belief(toy.belief().T_map_robot), False), (toy.belief(), True)):
-        grid = toy.painter.paint(belief, *look(toy.T_world_robot), belief.ids, (), make.graph())
-        assert labels_at(grid, np.array([[1.0, 2.0]])) == [Cell.FREE]
-        assert (toy.painter.scans.anchor >= 0).all() == anchored
-
-
 def test_a_beam_without_return_clears_what_the_laser_is_sure_of() -> None:
     beams, segments = look(np.array([1.0, 2.0, 0.0]))
     empty = np.zeros(len(beams.hit), np.bool_)
@@ -220,15 +206,6 @@ def test_free_space_is_cut_at_a_door() -> None:
     assert len(split_outline(outline, eye, unseen)[1]) == 0
 
 
-def test_a_door_on_the_line_of_a_wall_divides_by_nothing() -> None:
-    toy = Toy(np.array([1.0, 1.0, 0.0]), confirmed=False)  # the candidate lies on the face of the wall
-    for heading in np.arange(-3.0, 3.0, 0.25):
-        toy.T_world_robot = np.array([1.0 + heading / 5.0, 1.0, heading])
-        toy.painter = type(toy.painter)(GridConfig())
-        grid = toy.output().grid
-        assert layer_at(grid, grid.room, np.array([[8.0, 2.8]])) == [-1]
-
-
 def area(ring: np.ndarray) -> float:
     x, y = ring[:, 0], ring[:, 1]
     return 0.5 * float((x * np.roll(y, -1) - np.roll(x, -1) * y).sum())
@@ -239,9 +216,7 @@ def test_asked_to_look_again_it_paints_a_scan_from_the_same_place() -> None:
     drive(toy, [(2.0, 2.0)])
     scans = len(toy.painter.scans.room)
     toy.painter.look_again()
-    drive(toy, [(2.0, 2.0)])
-    assert len(toy.painter.scans.room) == scans + 1
-    drive(toy, [(2.0, 2.0)])
+    drive(toy, [(2.0, 2.0), (2.0, 2.0)])
     assert len(toy.painter.scans.room) == scans + 1
 
 
@@ -284,7 +259,7 @@ def test_polygons_that_stayed_are_not_painted_again() -> None:
     assert list(map(id, without([first, second], [second]))) == [id(first)]
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_polygon_covers_the_cells_whose_centre_it_contains(seed: int) -> None:
     rng = np.random.default_rng(seed)
     height, width, lattice = 30, 41, np.array([-7, 12])
@@ -347,7 +322,7 @@ def narrowed(wall: np.ndarray, quad: np.ndarray) -> bool:
     return False
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_a_door_is_walled_up_where_no_half_of_it_is_free(seed: int) -> None:
     rng, lattice = np.random.default_rng(seed), np.array([-20, 30])
     layers = np.zeros((7, 40, 50), np.int16)

@@ -6,12 +6,9 @@ import math
 import numpy as np
 import pytest
 
-from mecp_env.core.errors import ConfigError
-from mecp_env.slam.config import PolygonConfig, SlamConfig
-from mecp_env.slam.mecp import register_structure
+from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, order_by_bearing, visible_edges
 from mecp_env.slam.mecp.polygons import best_free_cycles, edge_between, edge_is_cut, passing_intervals
-from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
 from tests.slam.make import MIDDLES
 from tests.slam.mecp.plain import (
@@ -195,20 +192,3 @@ def test_the_largest_cycle_is_the_largest_by_definition(tolerance):
             assert found == expected[0][1]
             differs += sizes[0] < best_cycles(points, allowed, tolerance, 1)[0][0]
     assert not tolerance or differs > 5
-
-
-def test_a_configuration_selects_it_by_name(drive):
-    pipeline = SlamPipeline({"polygon": {"structure": "largest_area"}})
-    outputs = [pipeline.start(drive.scans[0])]
-    outputs += [pipeline.step(drive.odometry[k], drive.scans[k]) for k in range(3, 30)]
-    assert {len(output.polygons) for output in outputs} <= {0, 1}
-    assert sum(bool(output.match.polygon >= 0) for output in outputs) > 10
-
-
-def test_a_custom_structure_is_registered_by_name(own_parts, drive):
-    with pytest.raises(ConfigError, match=r"polygon\.structure: .*'mecp', 'largest_area' or 'dobkin'"):
-        SlamConfig(polygon={"structure": "none"})
-    register_structure("none", lambda corners, beams, polygon, wall: ())
-    assert SlamPipeline({"polygon": {"structure": "none"}}).start(drive.scans[0]).polygons == ()
-    with pytest.raises(ConfigError, match=r"name: 'mecp' is one of ours \(mecp, largest_area, dobkin\)"):
-        register_structure("mecp", lambda corners, beams, polygon, wall: ())

@@ -5,16 +5,11 @@ import itertools
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.mecp import find_structure
 from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
 from tests.slam.mecp.plain import convex_rings, twice_area
-from tests.slam.mecp.polygon_rooms import beams_of, corners_of
-from tests.slam.mecp.test_polygon_scan import RECTANGLE, walls_of
 from tests.slam.mecp.test_polygons import is_empty_around
 
 ROBOT = np.zeros(2)
-PAPER = PolygonConfig(tolerance_sigmas=0.0, check_walls=False, sites="corners")
 
 
 def left(a, b, c):
@@ -65,14 +60,3 @@ def test_visible_edges_are_those_with_an_empty_triangle():
             sides = list(itertools.pairwise([*corners, corners[0]]))
             blocked = any(all(left(a, b, q) for a, b in sides) for q in fan if q not in corners)
             assert (i in incoming[j]) == (not blocked)
-
-
-def test_in_a_rectangle_both_searches_find_the_room():
-    """Where the polygon is the hull of all sites, the rule loses nothing."""
-    pose = np.array([2.0, 1.5, 0.4])
-    corners, beams = corners_of(RECTANGLE, pose), beams_of(walls_of(RECTANGLE), pose)
-    (mecp,), (dobkin,) = (
-        find_structure(corners, beams, PAPER.model_copy(update={"structure": name})) for name in ("mecp", "dobkin")
-    )
-    np.testing.assert_array_equal(dobkin.corners, mecp.corners)
-    np.testing.assert_allclose(dobkin.intervals, mecp.intervals)

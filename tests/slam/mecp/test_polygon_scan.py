@@ -102,16 +102,6 @@ def test_beams_on_walls_are_those_of_clusters_with_lines():
     assert np.flatnonzero(beams_on_walls(clusters, beams)).tolist() == [0, 1, 2, 3, 718, 719]
 
 
-def test_a_closed_room_has_wall_on_every_edge_whatever_the_noise():
-    rng = np.random.default_rng(4)
-    walls = walls_of(RECTANGLE)
-    for pose in poses_in(RECTANGLE, 40, rng, margin=0.4):
-        corners = corners_of(RECTANGLE + rng.normal(0, 0.02, (4, 2)), pose, sigma=0.02)
-        (polygon,) = find_polygons(corners, beams_of(walls, pose, rng, 0.025), CONFIG)
-        assert polygon.corners.tolist() == [0, 1, 2, 3]
-        np.testing.assert_array_equal(polygon.intervals, [[e, 0, 1, EdgeLabel.WALL] for e in range(4)])
-
-
 @pytest.mark.parametrize("detected", [True, False])
 def test_a_wall_with_a_door_is_wall_gap_wall(detected):
     walls, jambs = room_with_door()
@@ -174,11 +164,3 @@ def test_jambs_of_this_side_are_vertices_only_where_there_is_no_polygon_of_four_
     with_all = corners_of([*hall, (2.5, -0.2)], pose, kinds=[CornerKind.CROSSING] * 4 + [CornerKind.JAMB])
     (polygon,) = find_polygons(with_all, beams, CONFIG)
     assert (with_all.kind[polygon.corners] == CornerKind.CROSSING).all()
-
-
-def test_a_triangle_comes_back_where_there_is_nothing_better():
-    room = np.array([(0.0, 0.0), (6.0, 0.0), (3.0, 5.0)])
-    pose = np.array([3.0, 1.5, 0.0])
-    corners = corners_of(room, pose)
-    (polygon,) = find_polygons(corners, beams_of(walls_of(room), pose), CONFIG)
-    assert len(polygon.corners) == 3

@@ -7,8 +7,7 @@ import pytest
 
 from mecp_env.core.se2 import inside_polygon, polar_to_points
 from mecp_env.slam.config import PanoramaConfig, SensorModel, SlamConfig
-from mecp_env.slam.pipeline import SlamPipeline
-from tests.slam.drives import fed, scripted_drive
+from tests.slam.drives import scripted_drive
 
 HALF = {"field_of_view_deg": 180.0, "beams": 360}
 
@@ -44,11 +43,6 @@ def test_polygons_surround_the_robot(runs):
     assert any(output.graph.in_doorway for output in with_polygon)
 
 
-def test_without_the_window_no_polygon_is_found(drive):
-    runs = drive.run(half(panorama=PanoramaConfig(use="never")))
-    assert not any(len(polygon.corners) >= 4 for _, output, *_ in runs for polygon in output.polygons)
-
-
 def test_the_window_is_as_long_as_configured(drive):
     config = half(panorama=PanoramaConfig(scans=3, spacing_m=0.3))
     *_, (pipeline, *_) = drive.run(config)
@@ -63,13 +57,6 @@ def at_the_end(runs):
     return copy.deepcopy(runs[-1][0])
 
 
-def test_a_lost_pose_empties_the_window(at_the_end):
-    pipeline = at_the_end
-    pipeline.lose_pose()
-    assert not pipeline.recent.scans
-    assert (pipeline.filter.slot_ids >= 0).all()
-
-
 def test_a_full_view_has_a_window_only_while_scans_show_few_corners():
     short = scripted_drive(seed=3, max_range_m=3.0)
     runs = [(output, len(pipeline.recent.scans)) for pipeline, output, *_ in short.run(SlamConfig())]
@@ -77,18 +64,6 @@ def test_a_full_view_has_a_window_only_while_scans_show_few_corners():
     assert [kept > 0 for _, kept in runs] == few
     assert 0.2 < np.mean(few) < 0.9
     assert all(output.panorama is None for output, _ in runs)  # no blind side is completed
-
-
-def test_a_map_with_a_window_goes_on_to_the_bit(drive, tmp_path):
-    pipeline, cut = SlamPipeline(half()), len(drive.scans) // 2
-    steps = list(zip(drive.odometry, drive.scans, strict=True))
-    *_, output = fed(pipeline, drive, last=cut)
-    pipeline.save_map(tmp_path / "map.zip")
-    loaded = SlamPipeline.from_map(tmp_path / "map.zip")
-    for odometry, scan in steps[cut : cut + 20]:
-        output, again = pipeline.step(odometry, scan), loaded.step(odometry, scan)
-        assert np.array_equal(output.belief.T_map_robot, again.belief.T_map_robot)
-        assert len(output.polygons) == len(again.polygons)
 
 
 def test_the_error_is_as_large_as_the_covariance_says():

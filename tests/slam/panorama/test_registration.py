@@ -83,14 +83,6 @@ def test_another_place_is_refused():
     assert not found.is_possible((np.zeros(3), PRIOR), LIMITS)
 
 
-def test_a_pedestrian_moves_nothing():
-    body = ring((1.0, -0.2), (1.3, -0.2), (1.3, 0.2), (1.0, 0.2))
-    past, beams = surfaces_and_beams(np.concatenate((ROOM, body)), 1)
-    now, _ = surfaces_and_beams(moved(np.concatenate((ROOM, body + np.array([0.0, 0.5]))), (0.2, 0.0, 0.1)), 2)
-    found = register(past, now, beams, (np.array([0.25, 0.05, 0.1]), PRIOR), LIMITS)
-    assert np.abs(found.T_past_now - [0.2, 0.0, 0.1]).max() < 0.02
-
-
 @pytest.mark.parametrize(
     ("turn_of_flat", "turn_of_all", "expected"), [(0.1, 0.0, 0.1), (0.8, 0.1, 0.1), (0.8, None, 0.8)]
 )
@@ -129,7 +121,7 @@ def test_a_registration_is_sound_when_nearly_all_points_agree_or_most_do_and_the
         assert found.is_sound((np.zeros(3), PRIOR), LIMITS) == sound
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_the_nearest_point_is_that_of_a_search_of_all(seed):
     rng = np.random.default_rng(seed)
     scale = rng.choice([0.3, 4.0, 60.0])

@@ -48,10 +48,15 @@ def look(keeper, belief, ids, pairs=(), confirmable=True, table=None, polygon_ro
     keeper.update(make.sighting(corners, match, belief, through=through), table or features(), known)
 
 
+def gap(keeper, y, times=3, **more):
+    """The jambs of the face on this side are seen so many times, with the gap between them."""
+    for _ in range(times):
+        look(keeper, belief_at(0.0, y), (0, 1) if y < 0.0 else (2, 3), ((0, 1),), **more)
+
+
 def keeper_with_door():
     keeper = RoomGraphEstimator(LIMITS)
-    for _ in range(3):
-        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    gap(keeper, -1.5)
     return keeper
 
 
@@ -90,7 +95,7 @@ def walk(keeper, ys, x=0.0, table=None):
 def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
     keeper = RoomGraphEstimator(LIMITS)
     for expected in (0, 0, 1):
-        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+        gap(keeper, -1.5, times=1)
         assert len(keeper.door_map.doors) == expected
         assert len(keeper.door_map.candidates) == 1 - expected
     assert keeper.door_map.doors[0].rooms == (0, -1)
@@ -99,12 +104,10 @@ def test_a_door_needs_three_sightings_and_is_a_candidate_until_then():
 def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
     """Two sightings of one face and one of the other; a jamb that was dropped and found again has new ids."""
     keeper = RoomGraphEstimator(LIMITS)
-    for _ in range(2):
-        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
-    for _ in range(10):  # from afar it stays a candidate
-        look(keeper, belief_at(0.0, -6.0), (0, 1), ((0, 1),), confirmable=False)
+    gap(keeper, -1.5, times=2)
+    gap(keeper, -6.0, times=10, confirmable=False)  # from afar it stays a candidate
     assert [candidate.confirmable for candidate in keeper.door_map.candidates] == [2]
-    look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    gap(keeper, 1.5, times=1)
     assert [(door.jambs, door.sightings) for door in keeper.door_map.doors] == [((2, 3), 3)]
 
 
@@ -125,8 +128,7 @@ def test_oscillation_on_the_threshold_changes_nothing():
 def test_the_same_door_from_both_sides_is_one_door():
     keeper = keeper_with_door()
     walk(keeper, (-0.5, 0.0, 0.5, 1.5))
-    for _ in range(4):
-        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    gap(keeper, 1.5, times=4)
     assert len(keeper.door_map.doors) == 1
     assert keeper.door_map.doors[0].other_face == (3, 2)
     assert keeper.door_map.doors[0].rooms == (0, 1)
@@ -136,8 +138,7 @@ def test_the_same_door_from_both_sides_is_one_door():
 def test_a_known_room_entered_through_a_door_seen_from_its_far_side_is_not_a_new_room():
     keeper = keeper_with_door()
     keeper.current, keeper.rooms = 7, [0, 7]  # the robot came round the ring into the room above
-    for _ in range(3):
-        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    gap(keeper, 1.5)
     assert walk(keeper, (0.5, 0.0, -0.5)) == [7, 7, 0]
     assert keeper.graph().rooms == (0, 7)
 
@@ -166,16 +167,12 @@ def test_what_is_seen_beside_the_gap_by_less_than_a_wall_is_seen_through_it():
 
 
 def test_beyond_doors_against_shapely():
-    rng = np.random.default_rng(3)
-    door = np.array([[0.3, -0.2, np.cos(0.4), np.sin(0.4), 0.45]])
-    along = np.array([-np.sin(0.4), np.cos(0.4)])
-    gap = LineString([door[0, :2] - 0.45 * along, door[0, :2] + 0.45 * along])
-    for _ in range(500):
-        robot, point = rng.uniform(-3, 3, 2), rng.uniform(-3, 3, 2)
-        crosses = LineString([robot, point]).crosses(gap)
-        row = np.empty(1, np.int64)
+    rng, row = np.random.default_rng(3), np.empty(1, np.int64)
+    door, along = np.array([[0.3, -0.2, np.cos(0.4), np.sin(0.4), 0.45]]), np.array([-np.sin(0.4), np.cos(0.4)])
+    opening = LineString([door[0, :2] - 0.45 * along, door[0, :2] + 0.45 * along])
+    for robot, point in rng.uniform(-3, 3, (500, 2, 2)):
         beyond_doors(robot, point[None], door, 0.0, row)
-        assert (row[0] == 0) == crosses
+        assert (row[0] == 0) == LineString([robot, point]).crosses(opening)
 
 
 def test_a_new_room_recognised_twice_from_two_places_is_merged():
@@ -196,8 +193,7 @@ def test_a_door_passed_before_it_was_seen_parts_the_rooms_when_it_is():
     assert keeper.current == 0  # no door was known
     table.rows["room"][7:] = 0
     keeper.trail.places[:, 3] = np.where(keeper.trail.places[:, 1] > 0.0, 7, 0)  # 7, 8 and 9 were first seen up there
-    for _ in range(3):
-        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
+    gap(keeper, 1.5, table=table)
     assert (keeper.current, keeper.graph().rooms) == (1, (0, 1))
     assert keeper.door_map.doors[0].rooms == (1, 0)  # its face is one of the new room
     assert table.rows["room"][7:].tolist() == [1, 1, 1]
@@ -216,8 +212,7 @@ def test_a_polygon_made_while_the_door_was_unknown_does_not_merge_the_rooms_it_p
 def test_a_door_passed_and_passed_again_parts_nothing():
     keeper = RoomGraphEstimator(LIMITS)
     walk(keeper, (-1.5, -0.5, 0.5, 1.5, 0.5, -0.5, -1.5))
-    for _ in range(3):
-        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    gap(keeper, -1.5)
     assert keeper.current == 0
     assert keeper.door_map.doors[0].rooms == (0, -1)
 
@@ -236,9 +231,8 @@ def test_a_gap_inside_one_room_is_no_door_once_a_polygon_around_the_robot_is_rec
     keeper = in_upper_room()
     seen_twice(keeper, polygon_room=0)
     assert keeper.current == 0
-    for _ in range(5):  # nor is it taken for one again
-        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
-        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    gap(keeper, 1.5, times=5)  # nor is it taken for one again
+    gap(keeper, -1.5, times=5)
     assert keeper.graph().doors == ()
     assert keeper.graph().candidates == ()
 
@@ -274,8 +268,7 @@ def to_and_fro(keeper, table, rounds):
 @pytest.mark.parametrize("two_faces", [False, True])
 def test_rooms_are_one_when_landmarks_are_seen_from_both_sides_of_a_gap_that_is_no_door_with_two_faces(two_faces):
     keeper, table = in_upper_room(), features()
-    for _ in range(3 * two_faces):
-        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), table=table)
+    gap(keeper, 1.5, times=3 * two_faces, table=table)
     to_and_fro(keeper, table, 3 if two_faces else 1)
     assert keeper.graph().rooms == ((0, 1) if two_faces else (0,))
     assert len(keeper.graph().doors) == two_faces
@@ -351,8 +344,7 @@ def without_door():
 def test_a_gap_where_a_door_was_joins_the_same_rooms():
     """A jamb that came and went made one KTH room ten: each was explored again."""
     keeper = without_door()
-    for _ in range(3):
-        look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),))
+    gap(keeper, 1.5)
     assert [door.rooms for door in keeper.door_map.doors] == [(1, 0)]
     assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
     assert keeper.graph().rooms == (0, 1)
@@ -360,7 +352,7 @@ def test_a_gap_where_a_door_was_joins_the_same_rooms():
 
 def test_a_candidate_where_a_door_was_leads_into_the_known_room():
     keeper = without_door()
-    look(keeper, belief_at(0.0, 1.5), (2, 3), ((0, 1),), confirmable=False)
+    gap(keeper, 1.5, times=1, confirmable=False)
     assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 0]
     assert [door.rooms for door in keeper.door_map.doors] == [(1, 0)]
 
@@ -368,8 +360,7 @@ def test_a_candidate_where_a_door_was_leads_into_the_known_room():
 def test_a_door_passed_before_it_was_seen_again_leads_into_the_known_room():
     keeper = without_door()
     assert walk(keeper, (0.5, 0.0, -0.5)) == [1, 1, 1]
-    for _ in range(3):
-        look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),))
+    gap(keeper, -1.5)
     assert keeper.current == 0
     assert [door.rooms for door in keeper.door_map.doors] == [(0, 1)]
 
@@ -391,7 +382,7 @@ def test_rooms_that_merge_are_joined_by_no_passage():
 
 def test_driving_through_a_candidate_opens_a_room_and_makes_it_a_door():
     keeper = RoomGraphEstimator(LIMITS)
-    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
+    gap(keeper, -1.5, times=1, confirmable=False)
     assert len(keeper.door_map.candidates) == 1
     assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5)) == [0, 0, 0, 1, 1]
     assert [door.rooms for door in keeper.door_map.doors] == [(0, 1)]
@@ -403,7 +394,7 @@ def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now(
     """Its door named the old room, in which the robot was on its way back; the next merge ended the exploration."""
     keeper = RoomGraphEstimator(LIMITS)
     keeper.current, keeper.rooms, keeper.next_room = 1, [0, 1], 2
-    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False)
+    gap(keeper, -1.5, times=1, confirmable=False)
     keeper.rooms, keeper.merged = [0], {1: 0}
     keeper.place(0)
     walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5))
@@ -414,7 +405,7 @@ def test_a_candidate_of_a_room_that_was_merged_since_leads_from_the_room_of_now(
 def test_a_room_behind_a_gap_that_was_driven_through_is_not_the_one_its_corners_were_assigned_to():
     """They were seen before, through a gap that was no door yet; a home and KTH floors lost rooms by that."""
     keeper, table = RoomGraphEstimator(LIMITS), features()
-    look(keeper, belief_at(0.0, -1.5), (0, 1), ((0, 1),), confirmable=False, table=table)
+    gap(keeper, -1.5, times=1, confirmable=False, table=table)
     assert walk(keeper, (-0.5, -0.1, 0.1, 0.3, 0.5), table=table)[-1] == 1
     for y in (0.8, 1.6, 2.8):
         look(keeper, belief_at(0.0, y), (7, 8, 9), table=table)
@@ -423,22 +414,10 @@ def test_a_room_behind_a_gap_that_was_driven_through_is_not_the_one_its_corners_
     assert table.rows["room"][[7, 8, 9]].tolist() == [1, 1, 1]
 
 
-@pytest.mark.parametrize(
-    ("ys", "x", "crossing"),
-    [
-        ((-1.0, -0.5, 0.5, 1.0), 0.0, 2),  # the first place behind the gap
-        ((1.0, 0.5, -0.5), 0.0, 2),
-        ((-1.0, 1.0, -1.0), 0.0, -1),  # there and back
-        ((-1.0, 1.0, -1.0, 1.0), 0.0, 3),  # and there again
-        ((-1.0, 1.0), 0.5, -1),  # beside the gap
-        ((), 0.0, -1),
-    ],
-)
-def test_the_last_crossing_of_a_gap(ys, x, crossing):
-    assert last_crossing(np.array([(x, y) for y in ys]).reshape(-1, 2), GAP) == crossing
-
-
-def test_one_step_against_shapely():
+def test_the_last_crossing_of_a_gap_also_against_shapely():
+    there, and_back, again = (-1.0, -0.5, 0.5, 1.0), (-1.0, 1.0, -1.0), (-1.0, 1.0, -1.0, 1.0)
+    for ys, crossing in ((there, 2), (and_back, -1), (again, 3), ((), -1)):
+        assert last_crossing(np.array([(0.0, y) for y in ys]).reshape(-1, 2), GAP) == crossing
     rng = np.random.default_rng(4)
     for _ in range(500):
         step, gap = rng.uniform(-2, 2, (2, 2)), rng.uniform(-2, 2, (2, 2))

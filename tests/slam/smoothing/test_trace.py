@@ -7,16 +7,14 @@ import numpy as np
 import pytest
 
 from mecp_env.core.intervals import estimate
-from mecp_env.core.se2 import between, composed
 from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, run_log
 from mecp_env.logs import Log, read_log
-from mecp_env.slam import SlamMap, SlamPipeline, smoothing
-from mecp_env.slam.messages import Cell
+from mecp_env.slam import SlamPipeline, smoothing
 from mecp_env.slam.smoothing.optimum import SmoothingError
 from tests.logs.simulated import write_simulated
 from tests.slam.drives import THROUGH_THE_DOOR
 
-SEEDS = range(6)
+SEEDS = range(4)
 ROUND = (*THROUGH_THE_DOOR, *THROUGH_THE_DOOR[-2::-1]) * 2
 OPTIONS = LogRunConfig(odometry="reference", noise={"turn_sigma_deg": 4.0})
 
@@ -49,37 +47,9 @@ def test_the_final_path_is_better(tmp_path: Path) -> None:
         assert shares["high"] < 1.0  # of the 95 % interval
 
 
-def test_odometry_is_that_of_the_laser(tmp_path: Path) -> None:
-    log = log_of(tmp_path)
-    made = LogDrive(log, SlamPipeline(config_for(log, {"sensor": {"x_m": 0.3, "heading_deg": 90.0}})), OPTIONS)
-    steps = made.steps()
-    for _ in range(4):
-        next(steps)
-    T_robot_laser = made.pipeline.config.sensor.T_robot_laser
-    for (start, end, T, cov), motion in zip(made.trace.odometry, made.measured[1:], strict=True):
-        assert end == start + 1
-        expected = between(T_robot_laser, composed(motion, T_robot_laser))
-        np.testing.assert_allclose(T, expected, atol=1e-9)
-        assert np.linalg.eigvalsh(cov).min() > 0.0
-
-
-def test_the_pipeline_stays_as_it_is(drive: LogDrive, tmp_path: Path) -> None:
-    SlamMap.of(drive.pipeline).save(tmp_path / "before.zip")
-    drive.trace.final()
-    SlamMap.of(drive.pipeline).save(tmp_path / "after.zip")
-    assert (tmp_path / "before.zip").read_bytes() == (tmp_path / "after.zip").read_bytes()
-
-
-def test_registrations_are_between_scans_near_each_other(drive: LogDrive) -> None:
-    path, found = np.array(drive.trace.T_map_laser), drive.trace.registrations
-    assert len(found) > 0.8 * len(path)
-    for start, end, T, _ in found:
-        assert start < end
-        np.testing.assert_allclose(between(path[start], path[end])[:2], T[:2], atol=0.05)
-
-
 def test_a_merged_landmark_is_the_one_that_it_became(drive: LogDrive, monkeypatch: pytest.MonkeyPatch) -> None:
     ids, graph = drive.trace.graph()
+    assert len(drive.trace.registrations) > 0.8 * len(drive.trace.T_map_laser)
     first, second, last = ids[:3].tolist()
     monkeypatch.setattr(drive.pipeline.map, "merged", {first: second, second: last})
     fewer, merged = drive.trace.graph()
@@ -87,32 +57,6 @@ def test_a_merged_landmark_is_the_one_that_it_became(drive: LogDrive, monkeypatc
     assert len(merged.sightings.z) == len(graph.sightings.z)
     counts = [np.count_nonzero(graph.sightings.landmark == row) for row in range(3)]
     assert np.count_nonzero(merged.sightings.landmark == 0) == sum(counts)
-
-
-def test_the_grid_follows_the_poses(drive: LogDrive) -> None:
-    painter, belief = drive.pipeline.grid, drive.pipeline.filter.belief()
-    online, graph, poses = painter.canvas.grid, drive.pipeline.rooms.graph(), painter.scans.T_map_robot
-    again = painter.redrawn(belief, poses, graph)
-    assert again.label.shape == online.label.shape
-    assert np.mean(again.label == online.label) > 0.995
-    assert np.mean(again.room == online.room) > 0.99
-    shift = np.array([40 * online.resolution_m, 0.0])
-    moved = replace(belief, p_map=belief.p_map + shift)
-    carried = painter.redrawn(moved, poses + np.array([*shift, 0.0]), graph)
-    for cell in (Cell.FREE, Cell.OCCUPIED, Cell.DOOR):
-        means = [np.argwhere(grid.label == cell)[:, ::-1].mean(axis=0) for grid in (again, carried)]
-        offset = (means[1] - means[0]) * online.resolution_m + carried.origin - again.origin
-        np.testing.assert_allclose(offset, shift, atol=0.5 * online.resolution_m)
-
-
-def test_a_path_in_a_saved_map(drive: LogDrive, log: Log) -> None:
-    saved = SlamMap.of(drive.pipeline)
-    for start in ("unknown", (0.0, 0.0, 0.0)):
-        part = OPTIONS.model_copy(update={"scans": 150})
-        run = run_log(log, run=part, pipeline=SlamPipeline.from_map(saved, start))
-        metrics = run.metrics()
-        assert metrics["final_converged"]
-        assert metrics["final_ate_m"] < 0.03
 
 
 def test_without_an_optimum_the_online_path_is_the_final_one(log: Log, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -123,20 +67,15 @@ def test_without_an_optimum_the_online_path_is_the_final_one(log: Log, monkeypat
     run = run_log(log, run=OPTIONS.model_copy(update={"scans": 20}))
     assert run.final is None
     np.testing.assert_array_equal(run.T_final_robot, run.T_map_robot)
-    assert run.final_output is run.output
     assert any("poses still move" in note and "online" in note for note in run.notes)
-    metrics = run.metrics()
-    assert not metrics["final_converged"]
-    assert metrics["final_ate_m"] == metrics["ate_m"]
+    assert not run.metrics()["final_converged"]
 
 
 def test_the_shortest_runs(log: Log) -> None:
     with pytest.raises(SmoothingError, match="no scan"):
         smoothing.Trace(SlamPipeline()).final()
-    for scans in (1, 2):
-        run = run_log(log, run=OPTIONS.model_copy(update={"scans": scans}))
-        assert run.final is not None
-        assert run.final.T_map_robot.shape == run.T_map_robot.shape
+    run = run_log(log, run=OPTIONS.model_copy(update={"scans": 1}))
+    assert run.final.T_map_robot.shape == run.T_map_robot.shape
     dark = replace(log, ranges=np.full_like(log.ranges, np.nan))
     run = run_log(dark, run=OPTIONS.model_copy(update={"scans": 10}))
     np.testing.assert_allclose(run.T_final_robot, run.T_map_robot, atol=1e-6)
