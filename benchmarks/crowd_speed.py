@@ -16,8 +16,8 @@ import numpy as np
 
 from benchmarks.common import Figures, estimate
 from benchmarks.drives import drive_at_random, exploration
+from benchmarks.stopwatch import Stopwatch, timed_stages
 from benchmarks.tables import table_of
-from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import GeneratorSpec, split_seed
 from mecp_env.world.generator import generate

@@ -17,8 +17,8 @@ from benchmarks import crowd_speed, peers, polygon_speed
 from benchmarks.common import Figures, Gate, Options
 from benchmarks.drives import drive_at_random, exploration
 from benchmarks.polygon_speed import SITES, median_us
+from benchmarks.stopwatch import timed_stages
 from benchmarks.tables import sections, table, table_of
-from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig

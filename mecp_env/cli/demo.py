@@ -71,11 +71,11 @@ class Demo(KeepsMap, ReadsPlans):
         recording = self.recording(config.robot.period_s)
         env = MecpEnv(config, None if self.render == "none" else "human")
         run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None, recording)
-        watch = run.watched()
+        run.watched()
         self.end_recording(recording)
         if not run.estimated:
             return INTERRUPTED
-        metrics = run.keep_data(folder, watch)
+        metrics = run.keep_data(folder)
         code = self.keep_map(env)
         run.keep_pictures(folder)
         ended = "over, no goal left" if run.ended == "complete" else run.ended  # by the belief, not the truth
@@ -119,25 +119,15 @@ class OneScan(WithModules, ReadsPlans):
         return 0
 
 
-class _Reached(Exception):
-    """The step that is wanted has come."""
-
-
 def recognition(run: Run, step: int) -> SlamOutput:
     """The first scan of an exploration from `step` on in which a polygon of the map is recognised.
 
     Raises `ConfigError` when the exploration ends before.
     """
-
-    def stop(run: Run) -> None:
-        if run.steps >= step and run.env.slam_output.match.known >= 0:
-            raise _Reached
-
-    try:
-        run.explore(stop)
-    except _Reached:
-        return run.env.slam_output
-    raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")
+    run.explore(lambda run: run.steps >= step and run.env.slam_output.match.known >= 0)
+    if run.ended != "interrupted":
+        raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")
+    return run.env.slam_output
 
 
 @dataclass(frozen=True)

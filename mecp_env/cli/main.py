@@ -7,7 +7,6 @@ import importlib
 import re
 import sys
 import textwrap
-from contextlib import nullcontext
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
@@ -58,14 +57,9 @@ WIDEST = max(map(len, COMMANDS))
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
     replace_unprintable()
-    words, line = split(sys.argv[1:] if arguments is None else arguments)
-    return at_end(run_command(lambda: run(parse(words, line), line)))
-
-
-def run(command: Command, line: Line) -> int:
-    """The exit code of a command; what writes files does not end with the pipe that it prints to."""
-    with unbreakable_output() if command.keeps_results else nullcontext():
-        return command.run(line)
+    with unbreakable_output():
+        words, line = split(sys.argv[1:] if arguments is None else arguments)
+        return at_end(run_command(lambda: parse(words, line).run(line)))
 
 
 def split(line: list[str]) -> tuple[str, Line]:

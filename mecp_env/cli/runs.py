@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import statistics
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -16,7 +18,6 @@ from rich.progress import BarColumn, TimeElapsedColumn
 from rich.table import Table
 
 from mecp_env.cli.base import echo
-from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.files import naming, sanitised, write_atomic
 from mecp_env.core.se2 import between, compose, composed, inverse
@@ -124,6 +125,10 @@ def _keep_pictures(folder: Path, output: SlamOutput, figures: Mapping[str, Calla
         film.save(folder / "run.gif")
 
 
+class Enough(Exception):
+    """An exploration need not go on."""
+
+
 @dataclass
 class Run:
     """An exploration in progress, and what is kept of each of its steps."""
@@ -137,6 +142,7 @@ class Run:
     estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
     moments: list[Moment] = field(default_factory=list)  # what the curves show
+    seconds: list[float] = field(default_factory=list)  # processor time of each step
     ended: str = "interrupted"
     view: SceneView = field(init=False)  # of the last step
 
@@ -144,22 +150,33 @@ class Run:
     def steps(self) -> int:
         return max(len(self.estimated) - 1, 0)
 
-    def explore(self, after_step: Callable[[Run], None]) -> None:
-        """Explore to the end; `after_step` is called after every control step, and once before the first."""
+    @property
+    def steps_per_s(self) -> float:
+        """By the median step: some load functions first, or search a way."""
+        return 1.0 / statistics.median(self.seconds) if self.seconds else 0.0
+
+    def explore(self, enough: Callable[[Run], object] = lambda _: False) -> None:
+        """Explore to the end, or until it is `enough`, as it is asked after every step and once before the first."""
+
+        begun = 0.0
 
         def look(step: Step | None = None) -> None:
+            nonlocal begun
+            self.seconds += [time.thread_time() - begun] if step else []
             self.look(step[4] if step else None)
-            after_step(self)
+            if enough(self):
+                raise Enough
+            begun = time.thread_time()
 
         policy, goals = BreadthFirst(), GoalActions(self.env, callback=look)
         observation, _ = goals.reset(seed=self.seed)
-        policy.reset()
-        look()
         terminated = truncated = False
-        while not (terminated or truncated):
-            action = policy.act(observation, goals.action_masks())
-            observation, _, terminated, truncated, info = goals.step(action)
-        self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
+        with suppress(Enough):
+            look()
+            while not (terminated or truncated):
+                action = policy.act(observation, goals.action_masks())
+                observation, _, terminated, truncated, info = goals.step(action)
+            self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
 
     def look(self, info: dict[str, Any] | None = None) -> None:
         """Keep what belongs to the present step."""
@@ -172,22 +189,23 @@ class Run:
                 record.look(view, info)
         self.film.offer(self.steps, lambda: self.picture(view))
 
-    def watched(self) -> Stopwatch:
-        """Explore with a bar, until the end or Ctrl-C; the times of the stages."""
+    def watched(self) -> None:
+        """Explore with a bar, until the end or Ctrl-C."""
         layout = self.env.config.layout  # a shipped name, or a whole layout
         echo(f"exploring {layout if isinstance(layout, str) else layout['name']}")
-        with timed_stages() as watch, Bar(1.0, *SHARE) as bar, suppress(KeyboardInterrupt):
-            self.explore(lambda run: run.show(bar, watch.steps_per_s))
-        return watch
+        with Bar(1.0, *SHARE) as bar, suppress(KeyboardInterrupt):
+            self.explore(lambda run: run.show(bar))
 
-    def show(self, bar: Bar, steps_per_s: float) -> None:
+    def show(self, bar: Bar) -> None:
         """Show the share of the building that has been seen, and what has been found, in at most 65 characters."""
-        found = FOUND.format(**self.view.metrics, error_cm=100.0 * self.view.metrics["pose_error_m"], speed=steps_per_s)
-        bar.show(self.view.metrics["coverage"], found, found)
+        metrics = self.view.metrics
+        found = FOUND.format(**metrics, error_cm=100.0 * metrics["pose_error_m"], speed=self.steps_per_s)
+        bar.show(metrics["coverage"], found, found)
 
-    def keep_data(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
+    def keep_data(self, folder: Path) -> dict[str, Any]:
         """Write metrics, configuration and paths into `folder`; returns the metrics."""
-        metrics, period_s = self.metrics(watch), self.env.config.robot.period_s
+        period_s = self.env.config.robot.period_s
+        metrics = {"ended": self.ended, **self.env.summary(), "steps_per_s": round(self.steps_per_s, 1)}
         recipe = {"seed": self.seed, "policy": "breadth_first", "config": self.env.config.to_dict()}
         times = [step * period_s for step in range(len(self.estimated))]
         paths = {"trajectory.tum": (times, self.estimated), "truth.tum": (times, self.true)}
@@ -221,12 +239,6 @@ class Run:
     def title(self) -> str:
         """The building, the estimator and the seed."""
         return f"{self.view.title.partition(', step')[0]}, seed {self.seed}"
-
-    def metrics(self, watch: Stopwatch) -> dict[str, Any]:
-        """The figures of the run so far, measured on the truth, and its times."""
-        times = {name: round(value, 1) for name, value in watch.microseconds().items()}
-        speed = {"steps_per_s": round(watch.steps_per_s, 1), "us_per_period": times}
-        return {"ended": self.ended, **self.env.summary(), **speed}
 
 
 class LogFiles:

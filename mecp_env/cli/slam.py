@@ -221,18 +221,6 @@ class Slam(KeepsMap):
         return {"log": str(self.log), **start, "run": options.model_dump(), **found, "config": config}
 
 
-UNITS = {  # of the fields of a calibration; the others have none
-    "turn_bias_deg_per_m": "deg per m",
-    "x_m": "m",
-    "heading_deg": "deg",
-    "distance_sigma_m": "m per sqrt(m)",
-    "distance_sigma_turning_m": "m per sqrt(rad)",
-    "turn_sigma_deg": "deg per sqrt(m)",
-    "turn_sigma_turning_deg": "deg per sqrt(rad)",
-    "range_sigma_m": "m",
-}
-
-
 def print_calibration(calibration: Calibration | None) -> None:
     """Print each value with its standard deviation and source, and why defaults are used; nothing without one."""
     if calibration is None:
@@ -242,12 +230,12 @@ def print_calibration(calibration: Calibration | None) -> None:
 
     title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
     value, sigma = (Column(name, justify="right") for name in ("value", "sigma"))
-    table = Table("field", value, sigma, "unit", "source", title=title, title_justify="left")
+    table = Table("field", value, sigma, "source", title=title, title_justify="left")
     for name, estimate in calibration.estimates.items():
         spread = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
-        table.add_row(name, f"{estimate.value:.4f}", spread, UNITS.get(name, ""), estimate.source)
+        table.add_row(name, f"{estimate.value:.4f}", spread, estimate.source)
     if calibration.range_noise_m is not None:
-        table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
+        table.add_row("range noise on straight walls, m", f"{calibration.range_noise_m:.4f}", "", "measured")
     Console().print(table)
     echo(*(f"note: {note}" for note in calibration.notes))
 

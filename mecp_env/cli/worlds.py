@@ -41,8 +41,6 @@ class List(Command):
         mecp-env worlds list
     """
 
-    keeps_results = False
-
     def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
         console = Console()
@@ -62,8 +60,6 @@ class Validate(ReadsPlans):
     """
 
     files: Buildings  # files, folders, or any building as for draw
-
-    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Check every file, a line each."""
@@ -314,8 +310,6 @@ class Stats(ReadsPlans):
 
     worlds: Buildings = ()  # as for draw; none: all that are shipped
     json: bool = False  # as JSON, with every figure
-
-    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Measure, and print a table or JSON."""

@@ -18,7 +18,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.render import palette
-from mecp_env.render.replay import DECISIONS, KINDS, REASONS, REWARD
+from mecp_env.render.replay import DECISIONS, KINDS, REASONS, REWARD, earned
 from mecp_env.render.shapes import CHI2_95, SceneView, cell_colours, door_lines, loops, magnification, positions
 from mecp_env.slam.messages import LANDMARK, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
@@ -158,9 +158,7 @@ class RerunLog:
 
     def _curves(self, view: SceneView, info: Mapping[str, Any]) -> None:
         """Scalars: what the replay draws over time."""
-        for name, value in info.items():
-            if name.startswith(REWARD):
-                self.earned[name] = self.earned.get(name, 0.0) + float(value)
+        self.earned |= earned(self.earned, info)
         belief, curves = view.slam_output.belief, dict[str, float]()
         for panel, names in PANELS.items():
             curves |= {f"{panel}/{name}": view.metrics[name] for name in names if name in view.metrics}

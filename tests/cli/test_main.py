@@ -17,7 +17,6 @@ from mecp_env.cli.base import Line
 from mecp_env.cli.demo import Demo
 from mecp_env.cli.options import Fields, configuration
 from mecp_env.cli.runs import Run
-from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.trajectory import tum
@@ -80,7 +79,7 @@ def test_the_paths_the_believed_map_and_the_saved_map_agree(kept: Path) -> None:
 def test_the_recipe_reproduces_the_run(kept: Path) -> None:
     recipe = json.loads((kept / "config.json").read_text())
     run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
-    run.explore(lambda run: None)
+    run.explore()
     assert tum(0.4 * np.arange(len(run.estimated)), run.estimated) == (kept / "trajectory.tum").read_text()
     assert run.env.view().title == f"two_rooms, slam, step {metrics_of(kept)['periods']}"  # the title of map.png
 
@@ -114,13 +113,13 @@ def test_a_demo_whose_reader_is_gone_keeps_its_files(tmp_path: Path, capsys: Sai
 @pytest.fixture(scope="module")
 def explored() -> Run:
     run = Run(MecpEnv(EnvConfig.build(layout="two_rooms", max_steps=40)), seed=3)
-    run.explore(lambda _: None)
+    run.explore()
     return run
 
 
 def keep(run: Run, folder: Path) -> None:
     """Write all files of a run."""
-    run.keep_data(folder, Stopwatch())
+    run.keep_data(folder)
     run.keep_pictures(folder)
 
 
