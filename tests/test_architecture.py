@@ -29,7 +29,6 @@ INSIDE = {  # how often a file of the tests does what one should not; may only b
         "tests/floorplans/test_door_candidates.py": 3,
         "tests/policies/test_evaluate.py": 1,
         "tests/slam/panorama/test_registration.py": 1,
-        "tests/vector/test_failures.py": 4,
         "tests/world/rays.py": 1,
     },
 }

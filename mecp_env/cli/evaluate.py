@@ -119,17 +119,19 @@ class Evaluate(WithModules, ReadsPlans):
         setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=changes)
         if self.plans is None and not self.layout:
             return setting
+        return replace(setting, difficulty="", split="", **self._place())
+
+    def _place(self) -> dict[str, Any]:
+        """The fields of a setting for the plans, or the layout. Raises `MecpError` where there is none."""
         known = shipped_layouts()
         if self.layout in known:
-            place: dict[str, Any] = {"layout": self.layout, "plans": 1, "content": self.layout}
-        elif self.plans is None and not exists(self.layout):
+            return {"layout": self.layout, "plans": 1, "content": self.layout}
+        if self.plans is None and not exists(self.layout):
             raise ConfigError(
                 f"layout: {self.layout!r:.80}, expected a file, or one of {', '.join(known)}"
                 f"{guess(self.layout, known)}; --difficulty selects generated buildings"
             )
-        else:
-            place = plan_fields(self.plans or Path(self.layout), self.reading.options())
-        return replace(setting, difficulty="", split="", **place)
+        return plan_fields(self.plans or Path(self.layout), self.reading.options())
 
     def _run_suite(self, line: Line) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""

@@ -69,9 +69,13 @@ def check_options(options: dict[str, Any] | None, count: int) -> tuple[dict[str,
     """The options for each environment, and which environments to reset (N,). Raises `TypeError`, `ValueError`."""
     if options is None or MASK not in options:
         return options, np.ones(count, np.bool_)
-    mask = options[MASK]
+    mask = _checked_mask(options[MASK], count)
+    return {name: value for name, value in options.items() if name != MASK} or None, mask.copy()
+
+
+def _checked_mask(mask: Any, count: int) -> NDArray[np.bool_]:
     if not isinstance(mask, np.ndarray) or mask.dtype != np.bool_:
         raise TypeError(f"options[{MASK!r}]: {mask!r:.80}, expected a NumPy array of bool")
     if mask.shape != (count,) or not mask.any():
         raise ValueError(f"options[{MASK!r}]: {mask!r:.80}, expected shape ({count},) and at least one True")
-    return {name: value for name, value in options.items() if name != MASK} or None, mask.copy()
+    return mask
