@@ -101,7 +101,10 @@ class Explore(KeepsMap, ReadsPlans):
         place = f"{buildings}:{self.split}:{self.seed}" if buildings else self.layout
         if place.count(":") != 2:
             return {"id": "mecp_env/Layout-v0", "layout": self.reading.resolve(place)}, None
-        difficulty, split, number = place.split(":")
+        return self._generated(*place.split(":"))
+
+    def _generated(self, difficulty: str, split: str, number: str) -> tuple[dict[str, Any], dict[str, int] | None]:
+        """As `_building`, of a generated building."""
         known = {difficulty: (*DIFFICULTIES, *TASKS), split: SPLITS}
         wrong = [guess(word, words) for word, words in known.items() if word not in words]
         if wrong or not number.isdecimal():

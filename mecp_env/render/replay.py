@@ -81,13 +81,8 @@ class Recorder:
         self.steps += 1
 
     def _frame(self, view: SceneView, seconds: float) -> Frame:
-        output, matched, grid = view.slam_output, list[int](), view.slam_output.grid
-        before = self.view.slam_output.map_polygons if self.view is not None else ()
-        if 0 <= output.associated.known < len(before):
-            matched = before[output.associated.known].ids.tolist()
-        same = self.frames and self.version == grid.version
-        packed = self.frames[-1].grid if same else PackedGrid.of(codes(grid), grid.origin)
-        self.version = grid.version
+        output = view.slam_output
+        matched = self._matched(output)
         units = dict(CURVES) | dict.fromkeys(self.earned, 100.0)
         curves = {name: view.metrics[name] for name, _ in CURVES if name in view.metrics} | self.earned
         row = {
@@ -111,7 +106,19 @@ class Recorder:
             "curves": {name: whole(value, units[name]) for name, value in curves.items()},
         }
         recognised = len(output.match.recognised()) if matched else 0
-        return Frame(row, packed, landmark_rows(output.belief), map_of(output), recognised)
+        return Frame(row, self._packed(output.grid), landmark_rows(output.belief), map_of(output), recognised)
+
+    def _matched(self, output: SlamOutput) -> list[int]:
+        """The landmarks of the polygon of the map that was recognised, as it was before."""
+        before = self.view.slam_output.map_polygons if self.view is not None else ()
+        known = output.associated.known
+        return before[known].ids.tolist() if 0 <= known < len(before) else []
+
+    def _packed(self, grid: SemanticGrid) -> PackedGrid:
+        if not self.frames or self.version != grid.version:
+            self.version = grid.version
+            return PackedGrid.of(codes(grid), grid.origin)
+        return self.frames[-1].grid
 
     def run(self, title: str, result: str = "") -> dict[str, Any]:
         """All that was kept, as plain data. Call it once there is a step."""
@@ -129,7 +136,7 @@ class Recorder:
             "bearings": whole(beams_shown(output)[0], MRAD),
             "laser": pose(output.T_robot_laser),
             "grid": {"origin": whole(place, CM), "size": size, "cell": output.grid.resolution_m},
-            "rooms": [list(colour) for colour in palette.ROOMS],
+            "rooms": list(map(list, palette.ROOMS)),
             "reasons": {int(reason): REASONS[reason] for reason in Reason},
             "kinds": KINDS,
             "decisions": {int(decision): DECISIONS[decision] for decision in Decision},

@@ -80,9 +80,7 @@ class BatchEnv(VectorEnv[Any, Any, Any]):
         context: str | None = None,
         copy: bool = True,
     ) -> None:
-        if not makers:
-            raise ValueError("num_envs: 0, expected at least 1")
-        self.num_envs = self.batch_size = len(makers)
+        self.num_envs = self.batch_size = check_integer("num_envs", len(makers))
         self.copy, self._mode = copy, check_mode(autoreset_mode)
         if batch_size is not None:
             self.batch_size = check_integer("batch_size", batch_size, len(makers), ", or None for all")
