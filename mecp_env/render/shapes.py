@@ -16,7 +16,7 @@ from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.se2 import compose, polar_to_points, to_map
 from mecp_env.render import palette
 from mecp_env.render.palette import RGB, room_colour
-from mecp_env.slam.messages import Belief, Cell, SemanticGrid
+from mecp_env.slam.messages import Belief, Cell, Decision, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
 # shown name, format, and the names of the metrics it is made of; left out where one of them is missing
@@ -101,6 +101,12 @@ MAGNIFICATIONS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # of the ellipses of a map; 
 READABLE_M = 0.25  # the usual ellipse is drawn no larger
 CHI2_95 = 5.991  # 2 degrees of freedom
 TURN = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+DECISION_COLOURS = {
+    Decision.LANDMARK: palette.ESTIMATE,
+    Decision.PROVISIONAL: palette.DOOR,
+    Decision.NEW: palette.GOAL,
+    Decision.IGNORED: palette.FAINT,
+}
 WIDE = (2.5, 1.0)  # a name is so many times as wide as high
 
 
@@ -110,6 +116,12 @@ def ellipse(mean: Array, cov: Array, magnified: float = 1.0) -> Array:
     radii = magnified * np.sqrt(CHI2_95 * np.maximum(values, 0.0))
     ring: Array = mean + np.column_stack([radii[0] * np.cos(TURN), radii[1] * np.sin(TURN)]) @ axes.T
     return ring
+
+
+def closed(ring: Array) -> Array:
+    """The ring (k,2) as a line (k+1,2) back to its first point."""
+    line: Array = np.vstack([ring, ring[:1]])
+    return line
 
 
 def wall_strips(segments: Array, thick_m: float = 0.12) -> Array:

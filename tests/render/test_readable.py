@@ -20,7 +20,7 @@ from mecp_env.render import palette
 from mecp_env.render.brush import Brush
 from mecp_env.render.figures import curves_figure, drawn, map_figure
 from mecp_env.render.plan_figures import plans_figure
-from mecp_env.render.stages import DECISIONS, KINDS, stage_figures
+from mecp_env.render.stages import KINDS, MARKS, stage_figures
 from mecp_env.slam.messages import EdgeLabel
 from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.generator import generate
@@ -92,7 +92,7 @@ def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as
     lines = [line for line in panels.axes[0].get_lines() if line.get_marker() not in ("_", "|")]
     assert len({(line.get_marker(), line.get_linestyle()) for line in lines}) == 6
     assert len(set(palette.SERIES)) == len(palette.MARKERS)
-    for marks in ([mark for _, mark in DECISIONS.values()], [mark for mark, _ in KINDS.values()], palette.MARKERS):
+    for marks in (MARKS.values(), [mark for mark, _ in KINDS.values()], palette.MARKERS):
         assert len(set(marks)) == len(marks)
 
 
