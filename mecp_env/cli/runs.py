@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import statistics
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -31,8 +31,8 @@ from mecp_env.render.figures import Moment, curves_figure, map_figure, moment_of
 from mecp_env.render.progress import Bar
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
-from mecp_env.render.screen import Film, Screen, ScreenConfig, thumbnail
-from mecp_env.render.shapes import SceneView, summary
+from mecp_env.render.screen import Film, Screen, thumbnail
+from mecp_env.render.shapes import SceneView, filled, summary
 from mecp_env.slam.output import SlamOutput
 from mecp_env.wrappers import GoalActions, Step
 
@@ -86,22 +86,14 @@ ROWS = (  # shown name, format; left out where a metric is missing
 def print_figures(title: str, metrics: Mapping[str, Any], folder: Path) -> None:
     """Print the figures of a run, what was skipped or repaired in its log, and where its files are."""
     table = Table(title=sanitised(title), show_header=False, title_justify="left")
-    for name, form in ROWS:
-        for value in _filled([form], metrics):
-            table.add_row(name, value)
+    for row in filled(ROWS, metrics):
+        table.add_row(*row)
     Console().print(table)
     counts = [f"counted: {count} {what}" for what, count in metrics.get("counts", {}).items()]
     there = [name for name in dict.fromkeys((*FILES, *LOG_FILES)) if (folder / name).exists()]
     notes = [f"note: {note}" for note in metrics.get("notes", ())]
     for said in (*counts, *notes, f"{', '.join(there)} in {folder}/"):
         Console().print(sanitised(said), markup=False)
-
-
-def _filled(forms: Iterable[str], metrics: Mapping[str, Any]) -> Iterator[str]:
-    """Those of the formats whose metrics there are."""
-    for form in forms:
-        with suppress(KeyError):
-            yield form.format(**metrics)
 
 
 def _keep_data(folder: Path, metrics: Mapping[str, Any], recipe: Mapping[str, Any], paths: Mapping[str, Any]) -> None:
@@ -226,7 +218,7 @@ class Run:
 
     def picture(self, view: SceneView) -> Bytes:
         """A frame of the film, whose size fits the building."""
-        self.screen = self.screen or Screen(ScreenConfig.around(view.bounds, FILM_WIDTH))
+        self.screen = self.screen or Screen.around(view.bounds, FILM_WIDTH)
         return self.screen.frame(view)
 
     def replay(self) -> dict[str, Any]:
@@ -327,8 +319,8 @@ def _view(output: SlamOutput, path: Array, reference: Array, title: str) -> Scen
 def _caption(name: str, metrics: Mapping[str, Any]) -> str:
     """What the figure says of a run: as far as there are a reference and relations."""
     parts = (
-        "{landmarks} landmarks, {rooms} rooms, {doors} doors",
-        "trajectory error {ate_m:.2f} m",
-        "relations {relations_m:.3f} m, {relations_deg:.2f} deg",
+        ("", "{landmarks} landmarks, {rooms} rooms, {doors} doors"),
+        ("", "trajectory error {ate_m:.2f} m"),
+        ("", "relations {relations_m:.3f} m, {relations_deg:.2f} deg"),
     )
-    return "    ".join([name, *_filled(parts, metrics)])
+    return "    ".join([name, *(said for _, said in filled(parts, metrics))])

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
@@ -101,10 +102,12 @@ class Slam(KeepsMap):
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in LOG_FILES], [str(path) for path in (self.log, self.from_map) if path])
         self.check_map(str(self.log), "slam")
-        log, fault = self._checked(self._read())
-        pipeline, calibration = self._estimator(log, fault, line)
+        log, fault = self._read()
+        fields, noise = named_fields(self.config, line, "--config."), named_fields(self.noise, line, "--noise.")
+        pipeline, calibration = self._estimator(log, fields, partial(self._calibration, log, noise, fault))
         keys = "odometry", "seed", "rest_m", "rest_deg"
-        options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
+        of_path = OdometryConfig(**{key: noise[key] for key in OdometryConfig.model_fields if key in noise})
+        options = LogRunConfig(noise=of_path, **{key: getattr(self, key) for key in keys})
         drive = LogDrive(log, pipeline, options, calibration)
         log = drive.log
         echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
@@ -136,31 +139,26 @@ class Slam(KeepsMap):
             return FAILED
         return {"interrupted": INTERRUPTED, "complete": 0}.get(run.ended, FAILED)
 
-    @property
-    def _is_measured(self) -> bool:
-        """True when the odometry is that of the log, which may be calibrated and may contradict the laser."""
-        return self.odometry == "log"
+    def _read(self) -> tuple[Log, str | None]:
+        """The log, by the options for its format, and what is wrong with its laser; notes are printed.
 
-    def _checked(self, log: Log) -> tuple[Log, str | None]:
-        """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
-        from mecp_env.logs.laser_check import laser_fault
-
-        fault = laser_fault(log, self.noise.distance_scale) if self._is_measured else None
-        said = () if fault is None else (f"warning: {fault}",)
-        echo(*said)
-        return replace(log, notes=(*log.notes, *said)), fault
-
-    def _read(self) -> Log:
-        """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
+        Raises `LogError`.
+        """
         from mecp_env.logs import ReadOptions, read_log
+        from mecp_env.logs.laser_check import laser_fault
 
         given = {name: value for name, value in vars(self).items() if name in ReadOptions.model_fields}
         given |= {"scan_topic": self.scan_topic or None, "use_odometry": self.odometry != "none"}
         log = read_log(self.log, ReadOptions(**given))
         echo(*(f"note: {note}" for note in log.notes))
-        return log
+        fault = laser_fault(log, self.noise.distance_scale) if self.odometry == "log" else None
+        said = () if fault is None else (f"warning: {fault}",)
+        echo(*said)
+        return replace(log, notes=(*log.notes, *said)), fault
 
-    def _estimator(self, log: Log, fault: str | None, line: Line) -> tuple[SlamPipeline, Calibration | None]:
+    def _estimator(
+        self, log: Log, fields: dict[str, Any], calibrate: Callable[[SlamConfig, dict[str, Any]], Calibration | None]
+    ) -> tuple[SlamPipeline, Calibration | None]:
         """A new estimator for the log's laser, or one in a saved map, and the calibration of the odometry, if any.
 
         Raises `ConfigError` and `MapError`.
@@ -168,20 +166,18 @@ class Slam(KeepsMap):
         from mecp_env.evaluation.log_run import config_for
         from mecp_env.slam import SlamPipeline
 
-        fields = named_fields(self.config, line, "--config.")
         if self.from_map is None:
             if self.start != "saved":
                 raise ConfigError(f"--start: {self.start} is a place in a map; name one by --from-map")
-            calibration = self._calibration(log, config_for(log, fields), fields.get("sensor", {}), fault, line)
+            calibration = calibrate(config_for(log, fields), fields.get("sensor", {}))
             return SlamPipeline(config_for(log, fields, calibration)), calibration
         if fields:
             raise ConfigError(f"--config: {', '.join(fields)} given, but a map has its own configuration (--from-map)")
         pipeline = SlamPipeline.from_map(self.from_map, self._start())
-        sensor = pipeline.config.sensor.model_dump()
-        return pipeline, self._calibration(log, pipeline.config, sensor, fault, line)
+        return pipeline, calibrate(pipeline.config, pipeline.config.sensor.model_dump())
 
     def _calibration(
-        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Line
+        self, log: Log, noise: dict[str, Any], fault: str | None, config: SlamConfig, sensor: dict[str, Any]
     ) -> Calibration | None:
         """That of the log's odometry and laser; None where it is not asked for, or where there is no odometry.
 
@@ -189,8 +185,7 @@ class Slam(KeepsMap):
         """
         from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, calibrate_log
 
-        noise = named_fields(self.noise, line, "--noise.")
-        if self.noise_from == "auto" and self._is_measured and log.T_odom_robot is not None:
+        if self.noise_from == "auto" and self.odometry == "log" and log.T_odom_robot is not None:
             given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
             return calibrate_log(log, config, given, noise, fault)
         useless = [name for name in CORRECTIONS if name in noise]
@@ -208,10 +203,6 @@ class Slam(KeepsMap):
         except ValueError:
             raise ConfigError(f"--start: {self.start!r:.60}, {POSE}") from None
         return (x, y, heading)
-
-    def _noise(self, line: Line) -> OdometryConfig:
-        named = named_fields(self.noise, line, "--noise.")
-        return OdometryConfig(**{name: value for name, value in named.items() if name in OdometryConfig.model_fields})
 
     def _recipe(self, run: LogRun, options: Any) -> dict[str, Any]:
         """What another run needs to give the same."""

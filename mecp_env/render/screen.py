@@ -12,12 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from pydantic import Field
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import compose, inverse, to_map
-from mecp_env.core.settings import Settings
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
@@ -156,30 +154,23 @@ def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
             brush.dot(pixel, radius, palette.GOAL, width)
 
 
-class ScreenConfig(Settings):
-    """Size of a frame."""
+class Screen:
+    """Draws frames of one size, px; touches no display (the window of the `human` mode is in window.py)."""
 
-    width_px: int = Field(1200, ge=320, le=4096)
-    height_px: int = Field(520, ge=200, le=4096)
+    def __init__(self, width: int = 1200, height: int = 520) -> None:
+        self.width, self.height = width, height
 
     @classmethod
-    def around(cls, bounds: Array, width_px: int) -> ScreenConfig:
-        """The size at which a building with these `bounds` (2,2) m fills both halves, within what fits a screen."""
+    def around(cls, bounds: Array, width: int) -> Screen:
+        """As high as a building with these `bounds` (2,2) m fills both halves, within what fits a screen."""
         across, up = np.maximum(bounds[1] - bounds[0], 1.0).tolist()
-        half = (width_px - 3 * MARGIN) / 2
+        half = (width - 3 * MARGIN) / 2
         height = HEADER + FOOTER + round(min(max(half * up / across, 0.4 * half), 1.4 * half))
-        return cls(width_px=width_px, height_px=height + height % 2)
-
-
-class Screen:
-    """Draws frames of one size; touches no display (the window of the `human` mode is in window.py)."""
-
-    def __init__(self, config: ScreenConfig | None = None) -> None:
-        self.config = config or ScreenConfig()
+        return cls(width, height + height % 2)
 
     def frame(self, view: SceneView, hide_world: bool = False) -> Bytes:
         """The picture of one moment, uint8 (height, width, 3); the world can be left out."""
-        brush = Brush((self.config.width_px, self.config.height_px), palette.PAPER)
+        brush = Brush((self.width, self.height), palette.PAPER)
         world, belief = self._panels()
         with brush.inside(world):
             (draw_nothing if hide_world else draw_world)(brush, view, world)
@@ -194,19 +185,19 @@ class Screen:
         return brush.image()
 
     def _panels(self) -> tuple[Box, Box]:
-        width = (self.config.width_px - 3 * MARGIN) // 2
-        height = self.config.height_px - HEADER - FOOTER
+        width = (self.width - 3 * MARGIN) // 2
+        height = self.height - HEADER - FOOTER
         return Box(MARGIN, HEADER, width, height), Box(2 * MARGIN + width, HEADER, width, height)
 
     def _header(self, brush: Brush, view: SceneView) -> None:
         brush.text(view.title, (MARGIN, 10), 24)
-        x = float(self.config.width_px - MARGIN)
+        x = float(self.width - MARGIN)
         for name, value in reversed(summary(view.metrics)):
             x -= brush.text(value, (x, 11), 22, align=1.0) + 5
             x -= brush.text(name, (x, 13), 18, palette.MUTED, align=1.0) + 16
 
     def _legend(self, brush: Brush, legend: Legend) -> None:
-        x, y = float(MARGIN), self.config.height_px - FOOTER + 6
+        x, y = float(MARGIN), self.height - FOOTER + 6
         for name, colour, kind in legend:
             if kind == "dot":
                 brush.dot((x + 6, y + 6), 3.5, colour)

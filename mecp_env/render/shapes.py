@@ -6,8 +6,10 @@ What a picture is drawn from: plain data, so that no drawing code reaches into t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -19,13 +21,12 @@ from mecp_env.render.palette import RGB, room_colour
 from mecp_env.slam.messages import Belief, Cell, Decision, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
-# shown name, format, and the names of the metrics it is made of; left out where one of them is missing
-ITEMS = (
-    ("rooms", "{:.0f}/{:.0f}", ("rooms_found", "rooms")),
-    ("doors", "{:.0f}/{:.0f}", ("doors_found", "doors")),
-    ("coverage", "{:.1%}", ("coverage",)),
-    ("pose error", "{:.1f} cm", ("pose_error_cm",)),
-    ("landmarks", "{:.0f}", ("landmarks",)),
+ITEMS = (  # shown name, format; left out where a metric is missing
+    ("rooms", "{rooms_found:.0f}/{rooms:.0f}"),
+    ("doors", "{doors_found:.0f}/{doors:.0f}"),
+    ("coverage", "{coverage:.1%}"),
+    ("pose error", "{pose_error_cm:.1f} cm"),
+    ("landmarks", "{landmarks:.0f}"),
 )
 
 KNOWN_GROUND = 4  # from this `GoalKind` on, goals are on known ground
@@ -73,14 +74,17 @@ class SceneView:
 
 def summary(metrics: Mapping[str, float]) -> list[tuple[str, str]]:
     """Pairs of a name and a readable value, as far as `metrics` has them (`pose_error_m` is shown in cm)."""
-    known = dict(metrics)
-    if "pose_error_m" in known:
-        known["pose_error_cm"] = 100.0 * known["pose_error_m"]
-    return [
-        (name, form.format(*(known[key] for key in keys)))
-        for name, form, keys in ITEMS
-        if all(key in known for key in keys)
-    ]
+    error = {"pose_error_cm": 100.0 * metrics["pose_error_m"]} if "pose_error_m" in metrics else {}
+    return filled(ITEMS, {**metrics, **error})
+
+
+def filled(items: Iterable[tuple[str, str]], metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Names with filled formats, of those whose metrics there are."""
+    found = list[tuple[str, str]]()
+    for name, form in items:
+        with suppress(KeyError):
+            found.append((name, form.format(**metrics)))
+    return found
 
 
 def loops(segments: Array) -> list[Array]:

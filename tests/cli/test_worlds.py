@@ -192,16 +192,6 @@ def test_a_file_of_strangers_does_not_speak_to_the_terminal(content: str, tmp_pa
     assert len([line for line in said.err.splitlines() if line]) == 3
 
 
-@pytest.mark.parametrize("command", [["demo"], ["one-scan"], ["play"], ["worlds", "generate"]])
-def test_a_folder_that_is_a_file_is_told_before_the_work(command: list[str], tmp_path: Path, capsys: Said) -> None:
-    """Seen: the demo reported this after the exploration, which was lost."""
-    (tmp_path / "out").write_text("kept")
-    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr()
-    assert said.err == f"mecp-env: --out: {tmp_path / 'out'} is a file, not a folder; choose another place\n"
-    assert (said.out, (tmp_path / "out").read_text()) == ("", "kept")
-
-
 def test_the_options_of_a_plan_are_options_of_the_commands(tmp_path: Path, capsys: Said) -> None:
     """Seen: only resolution_m and kind were; an image with grey unknown could not be read as it should."""
     picture, house = plans.save(plans.two_rooms_picture(), tmp_path / "plan.png"), tmp_path / "house.json"

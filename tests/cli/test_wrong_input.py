@@ -17,11 +17,18 @@ LINES = {
         ("--layout=", "''"),
         ("--layout castle", "castle: no such file or building; there are furnished, office, paper, twins, two_"),
         ("--layout two_rooms --seed -1", "--seed: Input should be greater than or equal to 0 (given: -1)"),
-        ("--layout two_rooms --out plan.json/run", "--out: "),
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
         ("--layout two_rooms --render human", "render_mode: 'human' can open no window"),
+    ],
+    "play": [
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
+        ("--rate 0", "--rate: Input should be greater than or equal to 0.5 (given: 0.0)"),
+        ("--config.start 50 50 0", "start: (50.0, 50.0, 0.0)"),
+        ("", "start it on a desktop or with DISPLAY set"),
     ],
     "one-scan": [
         ("--layout easy", "easy: which buildings?"),
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
         ("--step -5", "--step: Input should be greater than or equal to 0 (given: -5)"),
     ],
     "slam": [
@@ -74,6 +81,7 @@ LINES = {
     ],
     "worlds validate": [("", "name at least one building")],
     "worlds generate": [
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
         ("--count 0", "--count: Input should be greater than or equal to 1 (given: 0)"),
         ("--count 2 --out one.json", "one.json is one file for 2 buildings"),
         ("--out plans.yaml", "plans.yaml is the name of a file, not of a folder"),
