@@ -34,6 +34,12 @@ LINES = {
     "slam": [
         ("a.log --laser-yaw-deg 400", "--laser-yaw-deg: Input should be less than or equal to 180 (given: 400.0)"),
     ],
+    "replay": [
+        ("nowhere", "there is no such file or folder"),
+        ("empty", "neither replay.html nor a config.json"),
+        ("notes.txt", "no replay of mecp_env"),
+        ("mapped", "no run of `mecp-env demo`"),
+    ],
     "doctor": [
         ("--seconds=0", "--seconds: Input should be greater than or equal to 0.1 (given: 0.0)"),
         ("--seconds=nan", "--seconds: Input should be "),
@@ -103,10 +109,11 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
     """What there is in the working directory: by name, with its content."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
-    for name in ("plans", "empty"):
+    for name in ("plans", "empty", "mapped"):
         Path(name).mkdir()
     plan = (LIBRARY / "two_rooms.json").read_bytes()
     content = {"plan.json": plan, "plans/a.json": plan, "plans/b.json": plan, "notes.txt": b"mine"}
+    content["mapped/config.json"] = b'{"log": "x.log"}'
     for name, data in content.items():
         Path(name).write_bytes(data)
     return content
