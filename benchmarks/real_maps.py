@@ -15,7 +15,6 @@ from benchmarks.common import Figures
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import to_map
 from mecp_env.render import palette
-from mecp_env.render.figures import TRUE_PATH, TRUTH_GREY
 from mecp_env.render.palette import unit
 from mecp_env.slam.output import SlamOutput
 
@@ -86,10 +85,12 @@ def small_multiples(maps: Mapping[str, MapData]) -> Figure:
 def draw(axes: Axes, drawn: MapData) -> None:
     """One map, with a bar of five metres."""
     if len(drawn.segments):
-        axes.add_collection(LineCollection(list(drawn.segments), colors=TRUTH_GREY, linewidths=1.0, label="true walls"))
+        axes.add_collection(
+            LineCollection(list(drawn.segments), colors=unit(palette.TRUE_WALL), linewidths=1.0, label="true walls")
+        )
     if len(drawn.cells):
         axes.plot(*drawn.cells.T, ",", color=unit(palette.INK), label="mapped walls")
-    axes.plot(*drawn.reference.T, color=unit(TRUE_PATH), linewidth=1.6, label="true or reference path")
+    axes.plot(*drawn.reference.T, color=unit(palette.TRUE_PATH), linewidth=1.6, label="true or reference path")
     axes.plot(*drawn.path.T, color=unit(palette.ESTIMATE), linewidth=0.6, label="estimated path")
     axes.plot(*drawn.landmarks.T, "+", color=unit(palette.LANDMARK), markersize=2.5, mew=0.5, label="landmark")
     axes.add_collection(LineCollection(list(drawn.doors), colors=unit(palette.DOOR), linewidths=2.0, label="door"))

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, TimeElapsedColumn
 from rich.table import Table
@@ -27,11 +27,11 @@ from mecp_env.evaluation.trajectory import align, tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.render.figures import Moment, curves_figure, map_figure, moment_of, save
+from mecp_env.render.figures import Moment, curves_figure, moment_of, save
 from mecp_env.render.progress import Bar
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
-from mecp_env.render.screen import Film, Screen, thumbnail
+from mecp_env.render.screen import Film, Screen, map_picture, thumbnail
 from mecp_env.render.shapes import SceneView, filled, summary
 from mecp_env.slam.output import SlamOutput
 from mecp_env.wrappers import GoalActions, Step
@@ -105,16 +105,19 @@ def _keep_data(folder: Path, metrics: Mapping[str, Any], recipe: Mapping[str, An
         write_atomic(folder / name, tum(times, poses).encode())
 
 
-def _keep_pictures(folder: Path, output: SlamOutput, figures: Mapping[str, Callable[[], Figure]], film: Film) -> None:
+def _keep_pictures(folder: Path, output: SlamOutput, view: SceneView, film: Film) -> None:
     with naming(folder / "belief.pgm"):
         save_map_server(output.grid, folder / "belief")
     with naming(folder / "belief.svg"):
         save_svg(output.grid, folder / "belief.svg")
-    for name, figure in figures.items():
-        with naming(folder / name):
-            save(figure(), folder / name)
+    _keep_map(folder / "map.png", view)
     with naming(folder / "run.gif"):
         film.save(folder / "run.gif")
+
+
+def _keep_map(path: Path, view: SceneView) -> None:
+    with naming(path):
+        Image.fromarray(map_picture(view)).save(path)
 
 
 class Enough(Exception):
@@ -207,11 +210,10 @@ class Run:
     def keep_pictures(self, folder: Path) -> None:
         """Write the other `FILES` into `folder`."""
         self.film.add(self.picture(self.view))  # the last step, whether its turn has come or not
-        figures = {
-            "map.png": lambda: map_figure(self.view),
-            "curves.png": lambda: curves_figure(self.title, self.env.config.robot.period_s, self.moments),
-        }
-        _keep_pictures(folder, self.view.slam_output, figures, self.film)
+        _keep_pictures(folder, self.view.slam_output, self.view, self.film)
+        curves = curves_figure(self.title, self.env.config.robot.period_s, self.moments)
+        with naming(folder / "curves.png"):
+            save(curves, folder / "curves.png")
         (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
         if self.recorder is not None:
             write_page(self.replay(), folder / "replay.html")
@@ -277,7 +279,7 @@ class LogFiles:
         _keep_data(folder, metrics, recipe, paths)
         view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
         self.film.add(self._frame(run.output))
-        _keep_pictures(folder, run.output, {"map.png": lambda: map_figure(view)}, self.film)
+        _keep_pictures(folder, run.output, view, self.film)
         write_page(self.recorder.run(self.log.name, _caption(run.ended, metrics)), folder / "replay.html")
         _keep_final(folder, run, self.log.name, metrics)
         return metrics
@@ -290,8 +292,7 @@ def _keep_final(folder: Path, run: LogRun, name: str, metrics: Mapping[str, Any]
     errors = {key.removeprefix(FINAL): value for key, value in metrics.items() if key.startswith(FINAL)}
     reference = _reference(replace(run, T_map_robot=run.T_final_robot))
     view = _view(output, path, reference[:, :2], _caption(f"{name}, final trajectory", {**metrics, **errors}))
-    with naming(folder / "map_final.png"):
-        save(map_figure(view), folder / "map_final.png")
+    _keep_map(folder / "map_final.png", view)
 
 
 def _reference(run: LogRun) -> Array:

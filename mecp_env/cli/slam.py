@@ -96,7 +96,7 @@ class Slam(KeepsMap):
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures  # here, so that help and errors come at once
         from mecp_env.core.warm_up import prepare
-        from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
+        from mecp_env.evaluation.log_run import REGISTERED, LogDrive
         from mecp_env.render.progress import Bar
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
@@ -105,9 +105,7 @@ class Slam(KeepsMap):
         log, fault = self._read()
         fields, noise = named_fields(self.config, line, "--config."), named_fields(self.noise, line, "--noise.")
         pipeline, calibration = self._estimator(log, fields, partial(self._calibration, log, noise, fault))
-        keys = "odometry", "seed", "rest_m", "rest_deg"
-        of_path = OdometryConfig(**{key: noise[key] for key in OdometryConfig.model_fields if key in noise})
-        options = LogRunConfig(noise=of_path, **{key: getattr(self, key) for key in keys})
+        options = self._options(noise)
         drive = LogDrive(log, pipeline, options, calibration)
         log = drive.log
         echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
@@ -128,6 +126,13 @@ class Slam(KeepsMap):
         metrics = files.keep(folder, run, self._recipe(run, options))
         print_figures(f"log {run.ended}", metrics, folder)
         return max(self._ended(run, options, fault), code)
+
+    def _options(self, noise: dict[str, Any]) -> LogRunConfig:
+        from mecp_env.evaluation.log_run import LogRunConfig
+
+        of_path = OdometryConfig(**{key: noise[key] for key in OdometryConfig.model_fields if key in noise})
+        keys = "odometry", "seed", "rest_m", "rest_deg"
+        return LogRunConfig(noise=of_path, **{key: getattr(self, key) for key in keys})
 
     def _ended(self, run: LogRun, options: LogRunConfig, of_laser: str | None) -> int:
         """The exit code, with the reason where the result is of no use, and what is wrong with the laser."""

@@ -120,7 +120,7 @@ def keep(run: Run, folder: Path) -> None:
 
 @pytest.mark.parametrize(
     ("bytes_left", "name"),
-    [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (100_000, "map.png")],
+    [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (40_000, "map.png")],
 )
 def test_a_full_disk_names_the_file_and_keeps_the_data(
     bytes_left: int, name: str, explored: Run, tmp_path: Path

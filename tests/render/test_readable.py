@@ -18,7 +18,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.brush import Brush
-from mecp_env.render.figures import curves_figure, drawn, map_figure
+from mecp_env.render.figures import curves_figure, drawn
 from mecp_env.render.plan_figures import plans_figure
 from mecp_env.render.stages import KINDS, MARKS, stage_figures
 from mecp_env.slam.messages import EdgeLabel
@@ -114,17 +114,6 @@ def test_axes_have_units_and_curves_are_those_that_a_run_has() -> None:
     legends = [axes.get_legend() for axes in log.axes]
     named = [[text.get_text() for text in legend.get_texts()] if legend else [] for legend in legends]
     assert named == [["3 sigma"], [], [], ["landmarks"]]
-
-
-def test_the_map_names_only_what_it_has() -> None:
-    everything = legend_of(map_figure(scene.view()))
-    assert "door" in everything
-    graph = replace(scene.output().graph, doors=(), candidates=())
-    bare = legend_of(map_figure(scene.view(slam_output=replace(scene.output(), graph=graph, map_polygons=()))))
-    assert set(everything) - set(bare) >= {"door", "polygons of a room"}
-    assert "true path" in everything
-    log = legend_of(map_figure(scene.view(segments=np.empty((0, 2, 2)), path_world=np.empty((0, 2)))))
-    assert not {"true walls", "true path", "reference path"} & set(log)
 
 
 def test_polygons_of_a_scan_that_overlap_are_no_darker() -> None:
