@@ -191,19 +191,3 @@ def test_a_field_set_to_its_default_is_set() -> None:
     assert config.estimator_config.sensor.range_sigma_m == 0.05
     assert config.estimator_config.sensor.bearing_sigma_deg == 0.0  # follows the laser
     assert not config.slam.polygon.check_walls
-
-
-@pytest.mark.usefixtures("draft_figures")
-def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert cli.main(["worlds", "convert", "two_rooms", str(tmp_path / "plan.yaml")]) == 0
-    line = ["one-scan", "--layout", str(tmp_path / "plan.yaml"), "--out", str(tmp_path), "--step"]
-    assert cli.main([*line, "3"]) == 0
-    assert len(list(tmp_path.glob("*.png"))) == 6
-    assert cli.main([*line, "99999"]) == 2
-    assert "step" in capsys.readouterr().err
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("mecp_env.cli.demo.recognition", stop)
-    assert cli.main(["one-scan"]) == 130

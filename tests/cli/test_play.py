@@ -51,13 +51,10 @@ def script(monkeypatch: pytest.MonkeyPatch, *ticks: list[tuple[int, Key]]) -> No
 @pytest.mark.parametrize(
     ("keys", "action"),
     [
-        ([pygame.K_UP], (1.0, 0.0)),
-        ([pygame.K_s], (-1.0, 0.0)),
         ([pygame.K_w, pygame.K_LEFT], (1.0, 0.5)),
         ([pygame.K_d], (0.0, -0.5)),
         ([pygame.K_UP, pygame.K_DOWN], (0.0, 0.0)),
         ([pygame.K_UP, pygame.K_LSHIFT], (0.35, 0.0)),
-        ([pygame.K_SPACE], (0.0, 0.0)),
     ],
 )
 def test_keys_are_shares_of_speed_and_turn(game: Game, keys: list[Key], action: tuple[float, float]) -> None:

@@ -29,6 +29,7 @@ LINES = {
     "one-scan": [
         ("--layout easy", "easy: which buildings?"),
         ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
+        ("--layout two_rooms --step 99999", "step: no polygon is recognised from 99999 on; the exploration ends at "),
         ("--step -5", "--step: Input should be greater than or equal to 0 (given: -5)"),
     ],
     "slam": [
