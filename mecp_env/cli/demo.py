@@ -11,15 +11,7 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo
-from mecp_env.cli.options import (
-    Fields,
-    KeepsMap,
-    ReadsPlans,
-    WithModules,
-    configuration,
-    spare_sources,
-    stem,
-)
+from mecp_env.cli.options import Fields, KeepsMap, ReadsPlans, WithModules, configuration, spare_sources, stem
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import re
 import sys
@@ -24,7 +23,7 @@ from mecp_env.cli.base import (
 )
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import import_modules
-from mecp_env.core.settings import Settings, describe
+from mecp_env.core.settings import Settings, describe, guess
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
@@ -85,10 +84,8 @@ def answer(group: str, word: str) -> int:
 
 def refuse(words: str, group: str) -> int:
     """Print that `words` are not a command, with a suggestion and the known commands; the exit code."""
-    nearest = difflib.get_close_matches(words, COMMANDS, n=1)
-    guess = f"; did you mean `mecp-env {nearest[0]}`?" if nearest else ""
     print(overview(group) + "\n", file=sys.stderr)
-    print_error(f"unknown command {words!r}{guess}" if words else "a command is missing")
+    print_error(f"unknown command {words!r}{guess(words, COMMANDS)}" if words else "a command is missing")
     return WRONG_INPUT
 
 

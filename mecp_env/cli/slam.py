@@ -12,17 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import (
-    FAILED,
-    INTERRUPTED,
-    Command,
-    Line,
-    Seed,
-    check_folder,
-    check_writable,
-    echo,
-    print_error,
-)
+from mecp_env.cli.base import FAILED, INTERRUPTED, Command, Line, Seed, check_folder, check_writable, echo, print_error
 from mecp_env.cli.options import KeepsMap, named_fields, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig

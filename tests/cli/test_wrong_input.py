@@ -139,9 +139,9 @@ def test_wrong_input_is_one_line_and_changes_nothing(
     ("line", "code", "said"),
     [
         ("", 2, "demo"),
-        ("dmo", 2, "did you mean `mecp-env demo`?"),
+        ("dmo", 2, "did you mean 'demo'?"),
         ("worlds", 2, "worlds stats"),
-        ("worlds drwa office", 2, "did you mean `mecp-env worlds draw`?"),
+        ("worlds drwa office", 2, "did you mean 'worlds draw'?"),
         ("demo --seed first", 2, "first"),
         ("demo --config.slam.filter.kindd ekf", 2, "--config.slam.filter.kind"),
         ("demo --config.slam.filter.kind ukf", 2, "riekf"),
