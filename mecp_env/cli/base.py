@@ -225,7 +225,8 @@ T = TypeVar("T")
 def run_command(command: Callable[[], int]) -> int:
     """The exit code of `command`; 2 for wrong input or a file that cannot be read or written, 130 after Ctrl-C."""
     try:
-        return command()
+        with unbreakable_output():
+            return command()
     except (MecpError, gym.error.Error) as error:
         print_error(error)
         return WRONG_INPUT

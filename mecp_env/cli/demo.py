@@ -140,21 +140,17 @@ class Replay(Command):
 
     def run(self, line: Line) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
-        from mecp_env.render.replay_page import play_again, write_page
+        from mecp_env.render.replay_page import read_page, write_page
 
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)
-        if page.exists():
-            count = play_again(page, out)
-        elif self.run_folder.is_dir():
-            played = explored_again(self.run_folder)
-            if not played:
-                return INTERRUPTED
-            write_page(played, out)
-            count = len(played["frames"])
-        else:
+        if not self.run_folder.exists():
             raise ConfigError(f"{self.run_folder}: there is no such file or folder; {REMEDY}")
-        echo(f"{count} frames: {out}")
+        played = read_page(page) if page.exists() else explored_again(self.run_folder)
+        if not played:
+            return INTERRUPTED
+        write_page(played, out)
+        echo(f"{len(played['frames'])} frames: {out}")
         if self.browser:
             webbrowser.open(out.absolute().as_uri())
         return 0

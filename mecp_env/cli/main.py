@@ -11,16 +11,7 @@ from typing import Any
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import (
-    WRONG_INPUT,
-    Command,
-    Line,
-    at_end,
-    print_error,
-    replace_unprintable,
-    run_command,
-    unbreakable_output,
-)
+from mecp_env.cli.base import WRONG_INPUT, Command, Line, at_end, print_error, replace_unprintable, run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import import_modules
 from mecp_env.core.settings import Settings, describe, guess
@@ -56,9 +47,8 @@ WIDEST = max(map(len, COMMANDS))
 def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
     replace_unprintable()
-    with unbreakable_output():
-        words, line = split(sys.argv[1:] if arguments is None else arguments)
-        return at_end(run_command(lambda: parse(words, line).run(line)))
+    words, line = split(sys.argv[1:] if arguments is None else arguments)
+    return at_end(run_command(lambda: parse(words, line).run(line)))
 
 
 def split(line: list[str]) -> tuple[str, Line]:

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -15,21 +16,12 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import palette
-from mecp_env.render.replay_page import (
-    PackedGrid,
-    ReplayError,
-    Versions,
-    changed_cells,
-    changed_rows,
-    play_again,
-    read_page,
-    write_page,
-)
+from mecp_env.render.replay_page import PackedGrid, ReplayError, changed_cells, changed_rows, read_page, write_page
 from mecp_env.render.shapes import SceneView, loops, signed_area
 from mecp_env.slam.messages import Belief, Cell, Corners, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
-__all__ = ["Recorder", "ReplayError", "play_again", "read_page", "write_page"]
+__all__ = ["Recorder", "ReplayError", "read_page", "write_page"]
 
 MOST_FRAMES = 1500  # a longer run keeps every second step, then every fourth, ...
 MOST_BEAMS = 180  # of a scan that are drawn
@@ -48,7 +40,7 @@ class Frame:
     row: dict[str, Any]
     grid: PackedGrid
     landmarks: dict[int, list[int]]
-    map: dict[str, Any]
+    map: str  # as JSON
     recognised: int  # landmarks of the polygon of the map that was recognised
 
     def written(self, **changes: Any) -> dict[str, Any]:
@@ -125,7 +117,6 @@ class Recorder:
         assert self.view is not None
         view, output = self.view, self.view.slam_output
         place, size, cells = changed_cells([frame.grid for frame in self.frames], output.grid.resolution_m)
-        maps, landmarks = Versions(), changed_rows(frame.landmarks for frame in self.frames)
         return {
             "title": title,
             "result": result,
@@ -141,13 +132,16 @@ class Recorder:
             "kinds": KINDS,
             "decisions": {int(decision): DECISIONS[decision] for decision in Decision},
             "curve_units": dict(CURVES) | dict.fromkeys(self.earned, 100.0),
-            "frames": [
-                frame.written(cells=runs, landmarks=rows, map=maps.number(frame.map))
-                for frame, runs, rows in zip(self.frames, cells, landmarks, strict=True)
-            ],
-            "maps": maps.all,
+            **self._written(cells),
             "opens_at": self._telling(),
         }
+
+    def _written(self, cells: list[list[int]]) -> dict[str, Any]:
+        """The frames with what changed in each, and the maps that they name, each once."""
+        maps = {name: place for place, name in enumerate(dict.fromkeys(frame.map for frame in self.frames))}
+        rows = zip(self.frames, cells, changed_rows(frame.landmarks for frame in self.frames), strict=True)
+        frames = [frame.written(cells=runs, landmarks=marks, map=maps[frame.map]) for frame, runs, marks in rows]
+        return {"frames": frames, "maps": list(map(json.loads, maps))}
 
     def _telling(self) -> int:
         """The frame to open at: a polygon of the map is recognised, with as many landmarks as ever, half-way or so."""
@@ -221,16 +215,17 @@ def landmark_rows(belief: Belief) -> dict[int, list[int]]:
     return {name: [*p, *c] for name, p, c in zip(belief.ids.tolist(), places, covs, strict=True)}
 
 
-def map_of(output: SlamOutput) -> dict[str, Any]:
+def map_of(output: SlamOutput) -> str:
     """Polygons with their rooms, doors by the landmarks of their jambs, and gaps that are no doors yet."""
     graph = output.graph
     pairs = [pair for door in graph.doors for pair in (door.jambs, door.other_face) if pair is not None]
-    return {
+    found = {
         "polygons": [[graph.resolve(p.room), *p.ids.tolist()] for p in output.map_polygons],
         "doors": [list(pair) for pair in pairs],
         "gaps": [whole(gap.ends, CM) for gap in graph.candidates],
         "rooms": list(graph.rooms),
     }
+    return json.dumps(found)
 
 
 def codes(grid: SemanticGrid) -> Bytes:
