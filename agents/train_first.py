@@ -26,7 +26,6 @@ import gymnasium as gym
 import numpy as np
 import tyro
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.episode.tasks import TASKS
@@ -45,14 +44,9 @@ try:
 except ModuleNotFoundError as error:
     raise SystemExit(f"{error.name} is not installed; {INSTALL}") from None
 
+ALGORITHMS: dict[str, Any] = {"ppo": PPO, "maskable_ppo": MaskablePPO}
 METRICS = ("coverage", "coverage_over_steps", "correct_coverage_over_steps")
 COLUMNS = ("steps", "minutes", *METRICS)
-LABELS = {
-    "coverage": "coverage at the end of an episode, %",
-    "coverage_over_steps": "coverage, mean over the step limit, %",
-    "correct_coverage_over_steps": "correct coverage, mean over the step limit, %",
-}
-NAMES = {"ppo": "PPO", "maskable_ppo": "MaskablePPO"}
 RATES = {"discrete": 5e-4, "goal": 3e-3}
 SETTINGS: dict[str, dict[str, Any]] = {  # a goal takes some 20 control steps: few decisions, used more often
     "discrete": {"n_steps": 256, "batch_size": 256, "gamma": 0.99, "ent_coef": 0.01},
@@ -92,7 +86,7 @@ class Args:
     shaping: float = 0.0  # the same
     gamma: float = 0.0  # discount per decision; 0: that for the actions
     epochs: int = 0  # passes over a batch; 0: those for the actions
-    metric: str = "coverage"  # of the curve, or coverage_over_steps, correct_coverage_over_steps
+    metric: Literal["coverage", "coverage_over_steps", "correct_coverage_over_steps"] = "coverage"  # of the curve
     out: Path = Path("runs/first")
 
     @property
@@ -196,8 +190,7 @@ def lines(args: Args) -> dict[str, float]:
     """The metric of scripted policies in the validation buildings."""
     task = args.env.partition("/")[2]
     limit = gym.make(args.env, **args.options).get_wrapper_attr("config").max_steps
-    where = (args.difficulty or "easy", "") if task not in TASKS else ("", task)
-    setting = Setting(where[0], "validation", "slam", limit, where[1])
+    setting = Setting(args.difficulty or "easy", "validation", "slam", limit, task if task in TASKS else "")
     key = {"correct_coverage_over_steps": "correct_over_steps"}.get(args.metric, args.metric)
 
     def score(policy: str) -> float:
@@ -208,21 +201,14 @@ def lines(args: Args) -> dict[str, float]:
     return {text: score(policy) for policy, text in chosen.items()}
 
 
-def read(folder: Path) -> dict[str, NDArray[np.float64]]:
-    """The columns of a curve."""
-    with (folder / "progress.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    return {name: np.array([float(row[name]) for row in rows]) for name in COLUMNS}
-
-
 def draw(args: Args, folders: Sequence[Path], references: Mapping[str, float]) -> None:
     """Write `curve.png`: mean and range of the seeds over the control steps, scripted policies as lines."""
-    curves = [read(folder) for folder in folders]
+    curves = [np.genfromtxt(folder / "progress.csv", delimiter=",", names=True) for folder in folders]
     figure = Figure(figsize=(6.4, 3.6), layout="constrained")
     axes = figure.subplots()
     steps = np.linspace(0.0, min(curve["steps"][-1] for curve in curves), 100)
     values = 100.0 * np.array([np.interp(steps, curve["steps"], curve[args.metric]) for curve in curves])
-    name, minutes = NAMES[args.algorithm], np.mean([curve["minutes"][-1] for curve in curves])
+    name, minutes = ALGORITHMS[args.algorithm].__name__, np.mean([curve["minutes"][-1] for curve in curves])
     seeds = f"{len(curves)} seeds" if len(curves) > 1 else "one seed"
     axes.plot(
         steps / 1000.0, values.mean(axis=0), color="#0072b2", label=f"stock {name}, {seeds}, {minutes:.0f} min each"
@@ -230,7 +216,7 @@ def draw(args: Args, folders: Sequence[Path], references: Mapping[str, float]) -
     axes.fill_between(steps / 1000.0, values.min(axis=0), values.max(axis=0), color="#0072b2", alpha=0.2)
     for (text, value), style in zip(references.items(), ("--", "-.", ":"), strict=False):
         axes.axhline(100.0 * value, color="0.3", linestyle=style, label=text)
-    axes.set(xlabel="thousand control steps", ylabel=LABELS[args.metric], ylim=(0, 102))
+    axes.set(xlabel="thousand control steps", ylabel=f"{args.metric.replace('_', ' ')}, %", ylim=(0, 102))
     axes.legend(loc="lower right")
     figure.savefig(args.out / "curve.png", dpi=250)
 

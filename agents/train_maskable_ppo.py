@@ -27,7 +27,7 @@ try:
     from mecp_env.learning.encoder import GoalPointerPolicy, ObservationEncoder
     from mecp_env.learning.environments import OptionReward, vectorise
     from mecp_env.learning.exported import weights_of
-    from mecp_env.learning.fits import DownsampledObservation
+    from mecp_env.learning.fits import downsampled
     from mecp_env.learning.learned import tensor_bytes
     from mecp_env.learning.sb3_batch import OptionBuffer, OptionCallback
 except ModuleNotFoundError as error:
@@ -57,7 +57,7 @@ def make_env(args: Args, split: str) -> gym.Env[Any, Any]:
     """An environment whose actions are options: one step is the drive to a goal, its reward discounted by metres."""
     where = {"difficulty": args.difficulty, "split": split, "start": "random", "max_steps": args.max_steps}
     env = gym.make("mecp_env/Rooms-v0", **where, actions="goal")
-    return DownsampledObservation(OptionReward(env, discount=1.0, discount_m=args.discount_m), goals=True)
+    return downsampled(OptionReward(env, discount=1.0, discount_m=args.discount_m), goals=True)
 
 
 def make_many(args: Args, count: int, split: str) -> VecMonitor:

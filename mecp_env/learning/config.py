@@ -37,19 +37,18 @@ def read_line(words: Sequence[str]) -> dict[str, Any]:
 
     Raises `ValueError` for a name without a value, and a value without a name.
     """
-    fields: dict[str, list[float | str]] = {"": []}
-    name = ""
+    fields: dict[str, list[float | str]] = {}
     for word in words:
-        value = _as_value(word, expected=bool(name) and not fields[name])
+        values = next(reversed(fields.values()), None)  # of the last name
+        value = _as_value(word, expected=values == [])
         if value is None:
-            name = word.replace("-", "_")
-            fields.setdefault(name, [])
+            fields[word.replace("-", "_")] = []
+        elif values is None:
+            raise ValueError(f"{word}: the name of a field comes first, as rooms 12")
         else:
-            fields[name].append(value)
-    if fields.pop(""):
-        raise ValueError(f"{words[0]}: the name of a field comes first, as rooms 12")
-    if not all(fields.values()):
-        raise ValueError(f"{min(fields, key=lambda name: len(fields[name]))}: a value is missing, as rooms 12")
+            values.append(value)
+    if missing := [name for name, values in fields.items() if not values]:
+        raise ValueError(f"{missing[0]}: a value is missing, as rooms 12")
     return {name: found[0] if len(found) == 1 else tuple(found) for name, found in fields.items()}
 
 
@@ -146,15 +145,6 @@ class PpoConfig(Settings):
     normalise_reward: bool = True  # by the running deviation of the discounted return
 
 
-class WarmStartConfig(Settings):
-    """What is learned from an explorer before PPO starts."""
-
-    teacher: str | None = None  # nearest, gain or bfs
-    imitate: bool = True  # no: only the critic learns, from the returns of the teacher
-    decisions: int = Field(4000, ge=16, le=10_000_000)
-    epochs: int = Field(10, ge=1, le=1000)
-
-
 class LogConfig(Settings):
     """Evaluations and files."""
 
@@ -178,7 +168,6 @@ class TrainConfig(Settings):
     env: Environment = Environment()
     network: NetworkConfig = NetworkConfig()
     ppo: PpoConfig = PpoConfig()
-    warm_start: WarmStartConfig = WarmStartConfig()
     log: LogConfig = LogConfig()
 
     @classmethod
@@ -191,7 +180,7 @@ class TrainConfig(Settings):
         refuse_derived(fields.get("env"))
         algorithm = check_algorithm(fields.get("algorithm", "maskable_ppo"))
         task = of_task(fields.get("task", ""))
-        merged = merge(merge(merge(COMMON, DEFAULTS[algorithm]), task), dict(fields))
+        merged = merge(merge(DEFAULTS[algorithm], task), dict(fields))
         refuse_unknown(cls, merged, cls.__name__)
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
@@ -216,7 +205,6 @@ class TrainConfig(Settings):
         return self.model_dump(mode="json") | {"env": env}
 
 
-COMMON: dict[str, Any] = {"env": {"start": "random"}}
 VELOCITY: dict[str, Any] = {
     "steps": 2_000_000,
     "network": {"width": 32, "grid_channels": 8},

@@ -28,7 +28,6 @@ from mecp_env.learning import tables
 from mecp_env.learning.config import TrainConfig
 from mecp_env.learning.fits import downsampled_space
 from mecp_env.learning.sb3_batch import OptionBuffer
-from mecp_env.learning.tables import PRIORS
 from mecp_env.policies.explorers import LANDMARK_VALID
 from mecp_env.policies.registry import VALID
 
@@ -132,8 +131,7 @@ class ObservationEncoder(BaseFeaturesExtractor):
         assert goals is not None
         predicted = "localisation" in observation_space.spaces
         super().__init__(observation_space, width + (goals[0] * (width + 2) if prior else 0))
-        self.prior = PRIORS[prior] if prior else None
-        self.uncertainty = uncertainty
+        self.prior, self.uncertainty = prior, uncertainty
         self.grid = GridEncoder(channels, width)
         promises = tables.PROMISE_COLUMNS if prior else 0
         columns = tables.GOAL_COLUMNS + tables.PREDICTED_COLUMNS * predicted
@@ -155,7 +153,8 @@ class ObservationEncoder(BaseFeaturesExtractor):
         score = None
         if self.prior is not None:
             promise = observations["promise"][:, : goals.shape[1]]
-            score = self.prior(goals, valid, promise, tables.drawing_sigma(observations["pose_cov"]))
+            sigma_m = tables.drawing_sigma(observations["pose_cov"])
+            score = tables.prior_scores(self.prior, goals, valid, promise, sigma_m)
             around.append(tables.promise_rows(promise, score, goals))
         codes = of_rows(self.goal, torch.cat([rows, *around], -1), valid)
         if self.attention is not None:
@@ -230,8 +229,8 @@ class GoalPointerPolicy(MaskableMultiInputActorCriticPolicy):
 def policy_arguments(config: TrainConfig) -> tuple[Any, dict[str, Any]]:
     """The class of the policy (or its name for Stable-Baselines3) and its keywords."""
     network = config.network
-    encoder = {"width": network.width, "channels": network.grid_channels, "attention": network.attention}
-    encoder |= {"uncertainty": network.uncertainty}
+    encoder = {"width": network.width, "channels": network.grid_channels}
+    encoder |= {"attention": network.attention, "uncertainty": network.uncertainty}
     common: dict[str, Any] = {"features_extractor_class": ObservationEncoder}
     if config.algorithm == "maskable_ppo":
         mine = {"width": network.width, "sharpness": network.sharpness}

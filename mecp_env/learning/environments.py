@@ -11,8 +11,8 @@ from typing import Any, SupportsFloat
 
 import gymnasium as gym
 from gymnasium.vector import AutoresetMode
-from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecEnvWrapper
-from stable_baselines3.common.vec_env.base_vec_env import VecEnvObs, VecEnvStepReturn
+from stable_baselines3.common.vec_env import DummyVecEnv, VecEnv, VecNormalize
+from stable_baselines3.common.vec_env.base_vec_env import VecEnvStepReturn
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import LayoutError
@@ -20,7 +20,7 @@ from mecp_env.core.intervals import budget_m
 from mecp_env.core.processes import cores
 from mecp_env.episode.rewards import TERMS
 from mecp_env.learning.config import TrainConfig
-from mecp_env.learning.fits import DownsampledObservation
+from mecp_env.learning.fits import downsampled
 from mecp_env.learning.sb3_batch import SB3Batch
 from mecp_env.policies.rollout import CoverageCurve
 from mecp_env.vector import BatchEnv
@@ -32,34 +32,20 @@ KEPT = (
     *("pose_error_final_m", "pose_rmse_m", "nees_mean"),
 )
 MOST_WORKERS = 8  # of an evaluation
-LENGTHS = ("episode_periods", "episode_decisions")
+MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for the scale of the rewards
 REWARDS = tuple(f"reward_{term}" for term in TERMS)
 CUSTOM = "reward_custom"  # of all terms that the user has registered
-FIGURES = ("auc", "correct_over_steps", *KEPT, *LENGTHS, "reward", *REWARDS, CUSTOM, "terminated")
-
-
-class EpisodeStatistics:
-    """What is summed over an episode."""
-
-    def __init__(self) -> None:
-        self.curve, self.decisions = CoverageCurve(), 0
-        self.rewards = dict.fromkeys((*REWARDS, CUSTOM), 0.0)
-
-    def add(self, info: dict[str, Any]) -> None:
-        """Add one control step."""
-        self.curve.add(info["metres"], info["period"], info["coverage"])
-        for name, value in info.items():
-            if name.startswith("reward_"):
-                self.rewards[name if name in REWARDS else CUSTOM] += value
-
-    def figures(self, summary: dict[str, float], terminated: bool) -> dict[str, float]:
-        """The metrics of an episode, in the order of `FIGURES`."""
-        found = {name: summary[name] for name in KEPT} | self.rewards
-        found |= {"auc": self.curve.area_under(budget_m(summary["free_area_m2"])), "terminated": terminated}
-        found |= {"reward": sum(self.rewards.values())}
-        found |= {"correct_over_steps": summary["correct_coverage_over_steps"]}
-        found |= dict(zip(LENGTHS, (summary["periods"], self.decisions), strict=True))
-        return {name: float(found[name]) for name in FIGURES}
+FIGURES = (
+    "auc",
+    "correct_over_steps",
+    *KEPT,
+    "episode_periods",
+    "episode_decisions",
+    "reward",
+    *REWARDS,
+    CUSTOM,
+    "terminated",
+)
 
 
 class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
@@ -77,18 +63,18 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
     def __init__(self, env: Env, discount: float, discount_m: float) -> None:
         super().__init__(env)
         self.discount, self.discount_m = discount, discount_m
-        self.statistics, self.steps = EpisodeStatistics(), list[Step]()
+        self.steps = list[Step]()
         self.goals = env.has_wrapper_attr("callback")  # of `GoalActions`
         if self.goals:
             env.set_wrapper_attr("callback", self.steps.append)
             env.set_wrapper_attr("observes", False)
-        self.metres = 0.0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """As of the wrapped environment; `info` is empty."""
         observation, info = self.env.reset(seed=seed, options=options)
-        self.statistics, self.metres = EpisodeStatistics(), 0.0
-        self.statistics.add(info)
+        self.curve, self.rewards, self.decisions = CoverageCurve(), dict.fromkeys((*REWARDS, CUSTOM), 0.0), 0
+        self.metres = 0.0
+        self._count(info)
         return observation, {}
 
     def step(self, action: Any) -> Step:
@@ -102,11 +88,11 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
         else:
             self.steps.append(step)
         for each in self.steps:
-            self.statistics.add(each[4])
-        self.statistics.decisions += 1
+            self._count(each[4])
+        self.decisions += 1
         info: dict[str, Any] = {"periods": len(self.steps), "discount": discount}
         if terminated or truncated:
-            info["figures"] = self.statistics.figures(self.env.get_wrapper_attr("summary")(), terminated)
+            info["figures"] = self._figures(terminated)
         diverged = bool(self.steps[-1][4]["diverged"])
         return observation, float(reward), terminated or diverged, truncated and not diverged, info
 
@@ -117,6 +103,27 @@ class OptionReward(gym.Wrapper[Any, Any, Any, Any]):
             self.metres = float(info["metres"])
             total += float(reward) * math.exp(-(self.metres - start) / self.discount_m)
         return total, self.discount * math.exp(-(self.metres - start) / self.discount_m)
+
+    def _count(self, info: dict[str, Any]) -> None:
+        """Add one control step to the metrics of the episode."""
+        self.curve.add(info["metres"], info["period"], info["coverage"])
+        for name, value in info.items():
+            if name.startswith("reward_"):
+                self.rewards[name if name in REWARDS else CUSTOM] += value
+
+    def _figures(self, terminated: bool) -> dict[str, float]:
+        """The metrics of the episode, in the order of `FIGURES`."""
+        summary: dict[str, float] = self.env.get_wrapper_attr("summary")()
+        own = {
+            "auc": self.curve.area_under(budget_m(summary["free_area_m2"])),
+            "correct_over_steps": summary["correct_coverage_over_steps"],
+            "episode_periods": summary["periods"],
+            "episode_decisions": self.decisions,
+            "reward": sum(self.rewards.values()),
+            "terminated": terminated,
+        }
+        found = summary | self.rewards | own
+        return {name: float(found[name]) for name in FIGURES}
 
 
 class FixedBuildings(gym.Wrapper[Any, Any, Any, Any]):
@@ -155,7 +162,7 @@ def make_env(config: TrainConfig, index: int = 0, split: str | None = None) -> E
         where: dict[str, Any] = {"difficulty": difficulty, "split": split or buildings.split, **buildings.spec}
         env = gym.make("mecp_env/Rooms-v0", **fields, **where)
     option = OptionReward(env, config.ppo.discount, config.ppo.discount_m)
-    return DownsampledObservation(option, goals=config.actions == "goal")
+    return downsampled(option, goals=config.actions == "goal")
 
 
 def make_validation_env(config: TrainConfig, index: int, buildings: Sequence[int]) -> Env:
@@ -163,33 +170,29 @@ def make_validation_env(config: TrainConfig, index: int, buildings: Sequence[int
     return FixedBuildings(make_env(config, index, "validation"), buildings, config.buildings.layout is None)
 
 
-class TimedVecEnv(VecEnvWrapper):
-    """Measures how long the learner waits for the environments."""
+class Rewards(VecNormalize):
+    """Divides rewards by the running deviation of the return, and measures how long the learner waits."""
 
-    def __init__(self, venv: VecEnv) -> None:
-        super().__init__(venv)
-        self.waited_s = 0.0
-
-    def reset(self) -> VecEnvObs:
-        return self.venv.reset()
+    waited_s = 0.0
 
     def step_wait(self) -> VecEnvStepReturn:  # `step_async` only keeps the actions
         start = time.perf_counter()
-        step = self.venv.step_wait()
+        step = super().step_wait()
         self.waited_s += time.perf_counter() - start
         return step
 
 
-def make_many(config: TrainConfig, seed: int) -> TimedVecEnv:
+def make_many(config: TrainConfig, seed: int) -> Rewards:
     """The environments of a run, seeded."""
     makers = [partial(make_env, config, index) for index in range(config.environments)]
     venv = vectorise(makers, config.workers, computing=config.actions == "velocity")  # goals have processes anyway
     venv.seed(seed)
-    return TimedVecEnv(venv)
+    gamma = MEAN_OPTION_DISCOUNT if config.actions == "goal" else config.ppo.discount
+    return Rewards(venv, norm_obs=False, norm_reward=config.ppo.normalise_reward, gamma=gamma)
 
 
 def make_validation(config: TrainConfig) -> VecEnv:
-    """The environments of an evaluation; `seed` rewinds them.
+    """The environments of an evaluation on the validation split; `seed` rewinds them.
 
     Environment i runs as many episodes as `evaluate_policy` expects of it, always in the same buildings.
     """

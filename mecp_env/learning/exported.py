@@ -57,7 +57,7 @@ class StockConfig(Settings):
     deterministic: bool = True  # the most probable action, else a draw as in training
     planning: PlanningConfig = PlanningConfig()  # fields other than those of the environment: which rows there are
 
-    def with_planning(self, settings: dict[str, Any]) -> dict[str, Any]:
+    def asked_of(self, settings: dict[str, Any]) -> dict[str, Any]:
         """Fields of an environment with those of the planning that are set here."""
         given = self.planning.model_dump(exclude_unset=True)
         return merge(settings, {"planning": given}) if given else settings
@@ -75,7 +75,7 @@ class ExportedConfig(StockConfig):
     def fit(self) -> Fit:
         """The environment of these fields."""
         observation = self.observation.model_dump(include=self.observation.model_fields_set)
-        settings = self.with_planning(with_known_ground(observation))
+        settings = self.asked_of(with_known_ground(observation))
         return Fit(self.actions, settings | ({"reward": self.reward} if self.reward else {}))
 
 
@@ -92,12 +92,14 @@ def read_beside(path: Path, kind: type[Beside]) -> Beside:
         raise ConfigError(f"{beside}: {error}") from None
 
 
-def check_file(path: Path) -> None:
-    """Raise `ConfigError` for a file that is not there, or too large."""
+def check_file(path: Path, danger: str = "", trust: bool = True) -> None:
+    """Raise `ConfigError` for a file that is not there or too large, and for one with a `danger` without `trust`."""
     if not path.is_file():
         raise ConfigError(f"policy: {path}: no such file")
     if path.stat().st_size > MOST_BYTES:
         raise ConfigError(f"policy: {path}: {path.stat().st_size} bytes, at most {MOST_BYTES}")
+    if not trust:
+        raise ConfigError(f"policy: {path}: {danger}; if you trust its source, use --trust (load(path, trust=True))")
 
 
 class StockModel:
@@ -134,12 +136,7 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
     Raises `ConfigError` without `trust` or a file and for spaces that no environment has, `WeightError` for a file with
     another content.
     """
-    check_file(path)
-    if not trust:
-        raise ConfigError(
-            f"policy: {path}: loading a model file of Stable-Baselines3 can run arbitrary code; if you trust its "
-            "source, use --trust (load(path, trust=True))"
-        )
+    check_file(path, "loading a model file of Stable-Baselines3 can run arbitrary code", trust)
     module, name = class_of(path).split(":")
     find_modules_here()  # of the user: the class of a policy, or of its features
     try:
@@ -147,11 +144,16 @@ def load_zip(path: Path, trust: bool) -> ModelPolicy:
         check_finite(algorithm.policy)
     except Exception as error:  # the file's own code may raise anything
         raise WeightError(f"{path}: cannot be loaded by Stable-Baselines3: {error!r:.300}") from error
-    seen, statistics = algorithm.observation_space, statistics_for(algorithm, path)
+    seen, statistics = algorithm.observation_space, statistics_of(path)
+    if statistics is None and was_normalised(path, seen):
+        raise ConfigError(
+            f"policy: {path} was trained on observations that VecNormalize made, and its statistics are not beside it "
+            f"as {path.stem}_vecnormalize.pkl; venv.save(...) writes them"
+        )
     parts = {part: space.shape for part, space in seen.spaces.items()} if hasattr(seen, "spaces") else None
     found = fit(seen, algorithm.action_space, str(path), statistics is not None)
     config = read_beside(path, StockConfig) if path.with_suffix(".json").is_file() else StockConfig()
-    found = replace(found, settings=config.with_planning(found.settings))
+    found = replace(found, settings=config.asked_of(found.settings))
     prepare = batched if statistics is None else normalisation(statistics)
     return ModelPolicy(StockModel(algorithm, prepare, config.deterministic), found, str(path), parts)
 
@@ -191,28 +193,19 @@ def class_of(path: Path) -> str:
     return next((found for mark, found in ALGORITHMS.items() if mark in named), ANY)
 
 
-def statistics_for(algorithm: Any, path: Path) -> Path | None:
-    """The statistics of `VecNormalize` beside a model. Raises `ConfigError` where it was trained with some, without."""
-    found = statistics_of(path)
-    if found is None and was_normalised(algorithm):
-        raise ConfigError(
-            f"policy: {path} was trained on observations that VecNormalize made, and its statistics are not beside it "
-            f"as {path.stem}_vecnormalize.pkl; venv.save(...) writes them"
-        )
-    return found
+def was_normalised(path: Path, space: Any) -> bool:
+    """True for the file of a model whose observations `VecNormalize` made: the last ones, saved there, left the space.
 
-
-def was_normalised(algorithm: Any) -> bool:
-    """True for a model that was trained on observations that `VecNormalize` made.
-
-    Its last ones are the only trace: they have left the space. Where only rewards were normalised, they have not.
+    Where only rewards were normalised, they are inside.
     """
-    last: Any = getattr(algorithm, "_last_obs", None)
-    if last is None or getattr(algorithm, "_last_original_obs", None) is None:
+    from stable_baselines3.common.save_util import load_from_zip_file
+
+    saved = load_from_zip_file(path, device="cpu")[0] or {}
+    last: Any = saved.get("_last_obs")
+    if last is None or saved.get("_last_original_obs") is None:
         return False
     rows = zip(*last.values(), strict=True) if isinstance(last, dict) else last
-    seen = (dict(zip(last, row, strict=True)) if isinstance(last, dict) else row for row in rows)
-    return not all(algorithm.observation_space.contains(row) for row in seen)
+    return not all(space.contains(dict(zip(last, row, strict=True)) if isinstance(last, dict) else row) for row in rows)
 
 
 def normalisation(place: Path) -> Callable[[Any], Any]:
@@ -240,7 +233,12 @@ class ExportedModel:
     def predict(self, inputs: Any, mask: Bools | None) -> Any:
         """An action. Raises `ConfigError` for an output of another size, or one that is not finite."""
         output, count = np.asarray(self.network(batched(inputs))).ravel(), choices_of(self.config.actions)
-        check_output(output, count, self.name)
+        wrong_choice = count and output.size == 1 and output[0] not in range(count)
+        if wrong_choice or not np.isfinite(output).all() or output.size not in ((1, count) if count else (2,)):
+            expected = f"{count} numbers, or the number of the action" if count else "2 numbers"
+            raise ConfigError(
+                f"policy: {self.name} returned {output.size} numbers ({output[:3]}), expected {expected}, finite"
+            )
         if not count:
             return output
         return output[0] if output.size == 1 else self._chosen(output.astype(np.float64), mask)
@@ -254,25 +252,9 @@ class ExportedModel:
         return int(self.random.choice(len(weights), p=weights / weights.sum()))
 
 
-def check_output(output: Any, count: int, name: str) -> None:
-    """Raise `ConfigError` for an output (n,) that is no choice among `count` actions; with 0, that is no velocities."""
-    wrong_choice = count and output.size == 1 and output[0] not in range(count)
-    if wrong_choice or not np.isfinite(output).all() or output.size not in ((1, count) if count else (2,)):
-        expected = f"{count} numbers, or the number of the action" if count else "2 numbers"
-        raise ConfigError(f"policy: {name} returned {output.size} numbers ({output[:3]}), expected {expected}, finite")
-
-
 def load_script(path: Path, trust: bool = False) -> ModelPolicy:
-    """The network in a TorchScript file. Raises `ConfigError` without `trust`: its operations may read and write files.
-
-    Raises `ConfigError`, too, for a file that cannot be loaded, and without the JSON file.
-    """
-    check_file(path)
-    if not trust:
-        raise ConfigError(
-            f"policy: {path}: TorchScript is a program, which may read and write files; if you trust its source, "
-            "use --trust (load(path, trust=True))"
-        )
+    """The network in a TorchScript file. Raises `ConfigError`, also without `trust` or the JSON file."""
+    check_file(path, "TorchScript is a program, which may read and write files", trust)
     return exported_policy(path, script_network(path))
 
 

@@ -6,11 +6,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import product
 from typing import Any, Protocol
 
-import gymnasium
 import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
@@ -20,7 +19,6 @@ import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.config import merge
 from mecp_env.core.carriers import Bools, Bytes
 from mecp_env.core.errors import ConfigError, MecpError
-from mecp_env.core.settings import guess
 from mecp_env.episode.actions import make_actions
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.policies import active
@@ -43,7 +41,11 @@ ACTIONS: dict[str, Space] = {
     "velocity": make_actions("velocity").space,
 }
 OTHERS = "docs/submissions.md#other-models-and-wrappers"
-REPEAT = f"what wrappers change in training, a class repeats ({OTHERS})"
+ONE_ARRAY: tuple[dict[str, Any], ...] = (  # fields of `ObservationConfig` of each observation that is one array
+    {"format": "flat", "uncertainty": False},
+    {"format": "flat", "uncertainty": True},
+    {"format": "image"},
+)
 ON_REQUEST = ("map", "scan")  # parts of a dict that an environment has on request
 
 
@@ -113,23 +115,10 @@ def downsampled_space(space: Any, goals: bool) -> spaces.Dict:
     return spaces.Dict(parts)
 
 
-class DownsampledObservation(gym.ObservationWrapper[Observation, Any, Observation]):
+def downsampled(env: gym.Env[Observation, Any], goals: bool) -> gym.Env[Observation, Any]:
     """An environment with downsampled observations."""
-
-    def __init__(self, env: gym.Env[Observation, Any], goals: bool) -> None:
-        super().__init__(env)
-        self.goals = goals
-        self.observation_space: Any = downsampled_space(env.observation_space, goals)
-        self._full: Observation = {}
-
-    def observation(self, observation: Observation) -> Observation:
-        """The downsampled form."""
-        self._full = observation
-        return downsample(observation, self.goals)
-
-    def full_observation(self) -> Observation:
-        """The last observation at full resolution, for explorers that use the grid."""
-        return self._full
+    space: Any = downsampled_space(env.observation_space, goals)
+    return gym.wrappers.TransformObservation(env, partial(downsample, goals=goals), space)
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,52 +141,63 @@ class Fit:
 
 
 def fit(observations: Space, actions: Space, name: str, normalised: bool = False) -> Fit:
-    """The fit of a model's spaces. Raises `ConfigError` where no environment has them, with the nearest one.
+    """The fit of a model's spaces. Raises `ConfigError` where no environment has them, with those that there are.
 
     `normalised`: the statistics of `VecNormalize` are known, which changes the bounds of the observation.
     """
-    kind = fitting_actions(actions, name)
-    if isinstance(observations, spaces.Dict):
-        return Fit(kind, dict_settings(observations, kind, name, normalised))
-    for settings, last in product(one_array(), (False, True)):
-        ours = space_of(kind, **settings)
-        if same_array(observations, ours, last):
-            check_bounds("observations", observations, ours, name, normalised)
+    kind = next((word for word, ours in ACTIONS.items() if actions == ours), None)
+    if kind is None:
+        raise unfit(name, "the actions", actions, {f" with actions={word!r}": ours for word, ours in ACTIONS.items()})
+    asked = (settings_of(observations),) if isinstance(observations, spaces.Dict) else ONE_ARRAY
+    for settings, last in product(asked, (False, True)):
+        if is_same(observations, space_of(kind, **settings), last, normalised):
             return Fit(kind, with_known_ground(settings), channels_last=last)
-    raise ConfigError(
-        f"policy: {name} was trained on the observation {in_words(observations)}, which no environment has with "
-        f"actions={kind!r}; the nearest is {nearest_array(observations, kind)}; {REPEAT}"
+    have = {f" with observation={settings}": space_of(kind, **settings) for settings in asked}
+    raise unfit(name, "the observation", observations, have)
+
+
+def unfit(name: str, what: str, theirs: Space, ours: Mapping[str, Space]) -> ConfigError:
+    """The error of a model with a space that no environment has; `ours` by the option that selects each."""
+    have = ", ".join(f"{in_words(space)}{option}" for option, space in ours.items())
+    return ConfigError(
+        f"policy: {name} was trained on {what} {in_words(theirs)}; environments have {have}; what wrappers change in "
+        f"training, as by stacking frames, a class repeats ({OTHERS})"
     )
-
-
-def check_bounds(what: str, theirs: Any, ours: Any, name: str, normalised: bool) -> None:
-    """Raise `ConfigError` for values that a wrapper changed in training: the model would see others here."""
-    if not normalised and (theirs.low.min(), theirs.high.max()) != (ours.low.min(), ours.high.max()):
-        raise ConfigError(
-            f"policy: {name} was trained on {what} {in_words(theirs)}, environments have {in_words(ours)}; {REPEAT}"
-        )
 
 
 def in_words(space: Space) -> str:
     """A space without the bounds of each of its numbers."""
+    if isinstance(space, spaces.Dict):
+        return f"Dict({', '.join(f'{part} {in_words(inner)}' for part, inner in space.items())})"
     if not isinstance(space, spaces.Box):
         return f"{space!s:.200}"
     return f"Box({space.low.min():g}, {space.high.max():g}, {space.shape}, {space.dtype})"
 
 
-def fitting_actions(space: Space, name: str) -> str:
-    """The word for an action space. Raises `ConfigError` for one that no environment has."""
-    for word, ours in ACTIONS.items():
-        if space == ours:
-            return word
-    near = "velocity"
-    if isinstance(space, spaces.Discrete):
-        near = min(("discrete", "goal"), key=lambda word: abs(choices_of(word) - int(space.n)))
-    have = ", ".join(f"{in_words(ours)} of actions={word!r}" for word, ours in ACTIONS.items())
-    raise ConfigError(
-        f"policy: {name} was trained with the actions {in_words(space)}; environments have {have}; "
-        f"the nearest is actions={near!r}; {REPEAT}"
-    )
+def settings_of(theirs: spaces.Dict) -> dict[str, Any]:
+    """The fields with which an observation has the parts of a model, or more."""
+    goals = theirs.spaces["goals"].shape if "goals" in theirs.spaces else None
+    uncertainty = TRUST in theirs.spaces or (goals is not None and goals[-1:] > (COLUMNS,))
+    asked = {part: True for part in ON_REQUEST if part in theirs.spaces}
+    return asked | ({"uncertainty": True} if uncertainty else {})
+
+
+def is_same(theirs: Space, ours: Any, last: bool, normalised: bool) -> bool:
+    """True for arrays of one shape and with the same bounds, unless `normalised`; of parts, each of them is in ours.
+
+    Other bounds are those of a wrapper: the model would see other values here. `last`: with the first axis of ours at
+    the end. The shape and the bounds of a scan are the laser's, which the model does not select.
+    """
+    if isinstance(theirs, spaces.Dict) and isinstance(ours, spaces.Dict):
+        own = [(space, ours.spaces.get(part)) for part, space in theirs.items() if part != "scan"]
+        return not last and all(is_same(their, our, last, normalised) for their, our in own)
+    return isinstance(theirs, spaces.Box) and isinstance(ours, spaces.Box) and same_box(theirs, ours, last, normalised)
+
+
+def same_box(theirs: spaces.Box, ours: spaces.Box, last: bool, normalised: bool) -> bool:
+    """The same for arrays."""
+    bounds = normalised or (theirs.low.min(), theirs.high.max()) == (ours.low.min(), ours.high.max())
+    return bounds and theirs.shape == ((*ours.shape[1:], *ours.shape[:1]) if last else ours.shape)
 
 
 def choices_of(actions: str) -> int:
@@ -206,67 +206,13 @@ def choices_of(actions: str) -> int:
     return int(space.n) if isinstance(space, spaces.Discrete) else 0
 
 
-def one_array() -> tuple[dict[str, Any], ...]:
-    """The fields of `ObservationConfig` of each observation that is one array."""
-    return {"format": "flat", "uncertainty": False}, {"format": "flat", "uncertainty": True}, {"format": "image"}
-
-
 @lru_cache(maxsize=16)
 def space_of(actions: str, **observation: Any) -> Space:
     """The observation space of an environment with those fields; that of a scan depends on the laser."""
-    env = gymnasium.make("mecp_env/Layout-v0", actions=actions, observation=observation, disable_env_checker=True)
+    env = gym.make("mecp_env/Layout-v0", actions=actions, observation=observation, disable_env_checker=True)
     space: Space = env.observation_space
     env.close()
     return space
-
-
-def same_array(theirs: Space, ours: Space, last: bool = False) -> bool:
-    """True for arrays of one shape; `last`: with the first axis of ours at the end."""
-    shape = ours.shape or ()
-    return isinstance(theirs, spaces.Box) and theirs.shape == ((*shape[1:], *shape[:1]) if last else shape)
-
-
-def nearest_array(theirs: Space, actions: str) -> str:
-    """The observation that is one array and nearest to a space by its frames, its axes and its size, in words."""
-    shape = theirs.shape or ()
-    size = int(np.prod(shape))
-
-    def distance(settings: dict[str, Any]) -> tuple[bool, int, int]:
-        ours = space_of(actions, **settings).shape or ()
-        return size % int(np.prod(ours)) > 0, abs(len(ours) - len(shape)), abs(int(np.prod(ours)) - size)
-
-    near = min(one_array(), key=distance)
-    frames, rest = divmod(size, int(np.prod(space_of(actions, **near).shape or ())))
-    stacked = f", of which it takes {frames} frames"
-    return f"observation={near}: {in_words(space_of(actions, **near))}{stacked if frames > 1 and not rest else ''}"
-
-
-def dict_settings(theirs: spaces.Dict, actions: str, name: str, normalised: bool) -> dict[str, Any]:
-    """The fields with which an observation has the parts of a model, or more. Raises `ConfigError`."""
-    parts = theirs.spaces
-    goals = parts["goals"].shape if "goals" in parts else None
-    uncertainty = TRUST in parts or (goals is not None and goals[-1:] > (COLUMNS,))
-    asked = {part: True for part in ON_REQUEST if part in parts}
-    for part, space in parts.items():
-        check_part(part, space, space_of(actions, uncertainty=uncertainty, **asked), name, normalised)
-    return with_known_ground(asked | ({"uncertainty": True} if uncertainty else {}))
-
-
-def check_part(part: str, space: Space, ours: Any, name: str, normalised: bool) -> None:
-    """Raise `ConfigError` for a part that an environment does not have, or with another shape or other bounds.
-
-    Those of a scan are the laser's, which the model does not select.
-    """
-    if part not in ours.spaces:
-        raise ConfigError(
-            f"policy: {name} was trained on the part {part!r}; environments have {', '.join(ours.spaces)}, "
-            f"on request {', '.join((*ON_REQUEST, TRUST))}{guess(part, ours.spaces)}"
-        )
-    if part == "scan":
-        return
-    if not isinstance(space, spaces.Box) or space.shape != ours[part].shape:
-        raise ConfigError(f"policy: {name} was trained on {part} {space.shape}, environments have {ours[part].shape}")
-    check_bounds(part, space, ours[part], name, normalised)
 
 
 def with_known_ground(observation: dict[str, Any]) -> dict[str, Any]:

@@ -13,6 +13,7 @@ import json
 import re
 import zipfile
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -21,8 +22,8 @@ import safetensors.torch
 import torch
 from torch import Tensor, nn
 
-from mecp_env.core.errors import ConfigError
-from mecp_env.core.files import write_atomic
+from mecp_env.core.errors import ConfigError, LayoutError
+from mecp_env.core.files import read_bytes, write_atomic
 from mecp_env.core.settings import guess
 from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.encoder import make_network
@@ -43,7 +44,7 @@ EXPECTED = (
     "a run folder, or a model file (.zip of Stable-Baselines3, .pt of TorchScript, .onnx) expected; "
     f"a class loads others ({OTHERS})"
 )
-MOST_POLICY_BYTES = 16_000_000  # of the weights of a policy
+MOST_BYTES = 300_000_000  # of weights: more than the largest network of a configuration has
 POLICY = "policy.json"  # of a run folder: names the file of the weights, with its checksum
 NAME_LENGTH = 12  # of the checksum in the name of a file of weights
 
@@ -87,7 +88,9 @@ def load_file(path: Path, trust: bool) -> ModelPolicy:
     """The policy in a model file of another library. Raises `ConfigError` for another kind of file."""
     if path.suffix == ".safetensors":
         raise ConfigError(f"policy: {path} is the weights alone, name the folder that contains them")
-    parts = parts_of(path)
+    parts: list[str] = []
+    with suppress(Exception), zipfile.ZipFile(path) as archive:  # damaged bytes may raise anything
+        parts = archive.namelist()
     script = path.suffix in (".pt", ".pth") or any(part.endswith("/constants.pkl") for part in parts)
     if script and "data" not in parts:
         return load_script(path, trust)
@@ -96,34 +99,21 @@ def load_file(path: Path, trust: bool) -> ModelPolicy:
     raise ConfigError(f"policy: {path} is no trained policy; {EXPECTED}")
 
 
-def parts_of(path: Path) -> list[str]:
-    """The names of the parts of an archive; none of another file."""
-    try:
-        with zipfile.ZipFile(path) as archive:
-            return archive.namelist()
-    except Exception:  # damaged bytes may raise anything
-        return []
-
-
 def weights_file(folder: Path, config: TrainConfig) -> Path:
     """The file of the weights that `policy.json` of a folder names, with that checksum. Raises `WeightError`."""
     if not (folder / POLICY).exists():
         raise WeightError(f"{folder}: no policy yet ({POLICY} is missing)")
     about = read_config(folder / POLICY)
-    algorithm = about.get("algorithm")
+    algorithm, name, expected = (about.get(field) for field in ("algorithm", "file", "sha256"))
     if algorithm != config.algorithm:
         raise WeightError(f"{folder / POLICY}: weights of {algorithm!r:.80}, {CONFIG} is of {config.algorithm}")
-    name, expected = about.get("file"), about.get("sha256")
-    if not isinstance(name, str) or not isinstance(expected, str) or not FILE_NAME.fullmatch(name):
+    if not isinstance(name, str) or not FILE_NAME.fullmatch(name):
         raise WeightError(f"{folder / POLICY}: expected the name of a file in this folder and its SHA-256")
     path = folder / name
     try:
-        size = path.stat().st_size
-        if size > MOST_POLICY_BYTES:
-            raise WeightError(f"{path}: {size} bytes, at most {MOST_POLICY_BYTES}")
-        found = checksum(path.read_bytes())
-    except OSError as error:
-        raise WeightError(f"{path}: {error.strerror}") from None
+        found = checksum(read_bytes(path, MOST_BYTES))
+    except LayoutError as error:
+        raise WeightError(f"{path}: {error}") from None
     if found != expected:
         raise WeightError(f"{path}: its SHA-256 is {found}, expected {expected}: damaged or modified")
     return path

@@ -9,7 +9,6 @@ Explorers as a score of the goals: what a policy does before it has learned anyt
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable
 
 import torch
 from torch import Tensor
@@ -174,9 +173,6 @@ SELDOM = -1.0  # score of a goal on known ground
 LEAST_SIGMA_M = 1e-3, 0.01  # of a predicted pose, for what a map is worth and for its entropy, as `stachniss` has it
 INFORMATION, TRIGGERS = InformationWeights(), Triggers()
 
-Explorer = Callable[[Tensor, Tensor, Tensor], Tensor]
-Prior = Callable[[Tensor, Tensor, Tensor, Tensor], Tensor]  # also of the present drawing sigma (B,1) m
-
 
 def like_nearest(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
     """(B,G) of goals (B,G,9), valid (B,G), promise (B,G) m^2: the shorter the way, the more."""
@@ -206,7 +202,7 @@ def like_stachniss(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
     known = known - 2.0 * INFORMATION.pose_nat * torch.log(sigma_m.clamp(min=floors[1]))
     moves = valid & (torch.round(goals[..., KIND]) != WAIT)
     scores = below_best(known - INFORMATION.metre_nat * goals[..., PATH], moves)
-    return torch.where(valid & ~moves, torch.full_like(scores, LEAST_SCORE), scores)
+    return torch.where(valid & ~moves, LEAST_SCORE, scores)
 
 
 def like_none(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
@@ -225,51 +221,34 @@ def sigma_there(goals: Tensor) -> Tensor:
     return torch.hypot(goals[..., SIGMA], AHEAD_M * goals[..., SIGMA_RAD])
 
 
-def with_known_ground(prior: Explorer) -> Explorer:
-    """The score of an explorer of new floor, where known ground is among the goals: it seldom drives there."""
-
-    def score(goals: Tensor, valid: Tensor, promise: Tensor) -> Tensor:
-        known = valid & (torch.round(goals[..., KIND]) >= PLACE)
-        scores = prior(goals, valid & ~known, promise)
-        return torch.where(known, torch.full_like(scores, SELDOM), scores)
-
-    return score
-
-
-def looking_first(prior: Explorer) -> Prior:
-    """An explorer's score; while the pose is searched for, it looks elsewhere, as the explorers of `active` do."""
-
-    def score(goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
-        look = valid & (torch.round(goals[..., KIND]) == LOOK)
-        scores = prior(goals, valid, promise)
-        first = torch.where(look, torch.zeros_like(scores), torch.full_like(scores, LEAST_SCORE))
-        return torch.where(look.any(-1, keepdim=True), first * valid, scores)
-
-    return score
-
-
-def returning_first(prior: Prior) -> Prior:
-    """A score; where the place that `returning` drives to takes away enough of the drawing sigma, it comes first.
+def returning_first(scores: Tensor, goals: Tensor, valid: Tensor, sigma_m: Tensor) -> Tensor:
+    """Scores (B,G); where the place that `returning` drives to takes away enough of the drawing sigma, it comes first.
 
     It remembers no drive: it returns in every decision for which that holds. The learned part may outweigh it.
     """
-
-    def score(goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
-        scores, there = prior(goals, valid, promise, sigma_m), sigma_there(goals)
-        places = valid & (torch.round(goals[..., KIND]) == PLACE)
-        of_use = places & (there < sigma_m - TRIGGERS.lost_m)
-        cost = torch.where(of_use, there + TRIGGERS.metre * sigma_m * goals[..., PATH], torch.inf)
-        best = functional.one_hot(cost.argmin(-1), cost.shape[-1]).bool()
-        first = torch.where(best, torch.zeros_like(scores), torch.full_like(scores, SELDOM)) * valid
-        return torch.where(of_use.any(-1, keepdim=True), first, scores)
-
-    return score
+    there = sigma_there(goals)
+    places = valid & (torch.round(goals[..., KIND]) == PLACE)
+    of_use = places & (there < sigma_m - TRIGGERS.lost_m)
+    cost = torch.where(of_use, there + TRIGGERS.metre * sigma_m * goals[..., PATH], torch.inf)
+    best = functional.one_hot(cost.argmin(-1), cost.shape[-1]).bool()
+    return torch.where(of_use.any(-1, keepdim=True), torch.where(best, 0.0, SELDOM) * valid, scores)
 
 
-PRIORS: dict[str, Prior] = {
-    "nearest": looking_first(with_known_ground(like_nearest)),
-    "gain": looking_first(with_known_ground(like_gain)),
-    "returning": returning_first(looking_first(with_known_ground(like_gain))),
-    "stachniss": looking_first(like_stachniss),
-    "none": looking_first(with_known_ground(like_none)),
-}
+EXPLORERS = {"nearest": like_nearest, "gain": like_gain, "returning": like_gain, "none": like_none}  # of new floor
+
+
+def prior_scores(name: str, goals: Tensor, valid: Tensor, promise: Tensor, sigma_m: Tensor) -> Tensor:
+    """(B,G) how an explorer scores the goals, while the drawing sigma is (B,1) m.
+
+    One that explores new floor seldom drives to known ground. While the pose is searched for, each looks elsewhere, as
+    the explorers of `active` do.
+    """
+    kind = torch.round(goals[..., KIND])
+    if name == "stachniss":
+        scores = like_stachniss(goals, valid, promise)
+    else:
+        known = valid & (kind >= PLACE)
+        scores = torch.where(known, SELDOM, EXPLORERS[name](goals, valid & ~known, promise))
+    look = valid & (kind == LOOK)
+    scores = torch.where(look.any(-1, keepdim=True), torch.where(look, 0.0, LEAST_SCORE) * valid, scores)
+    return returning_first(scores, goals, valid, sigma_m) if name == "returning" else scores

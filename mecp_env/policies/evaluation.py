@@ -1,8 +1,7 @@
 """Policies compared in the same buildings, from the same start poses: episodes, and one row of metrics per policy.
 
 Everything is measured in metres and simulated time, so that every machine gives the same result. Metrics have 95 %
-intervals, and differences are paired by building. What a return says of the map: lost episodes against the others of
-the same building, and correct coverage. Trainings that differ in their seed only are taken together.
+intervals, and differences are paired by building. Trainings that differ in their seed only are taken together.
 """
 
 from __future__ import annotations
@@ -16,13 +15,14 @@ from contextlib import closing
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import write_atomic
-from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures, correlation, estimate, over_runs, ratio, share
+from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures, estimate, over_runs, ratio, share
 from mecp_env.core.provenance import checksums, dependencies
 from mecp_env.core.work_units import WHOLE, FailedUnit, KeptResults, Shard, run_kept
 from mecp_env.policies.registry import Policy, policy_checksum, source_of
@@ -41,7 +41,7 @@ COMPARED = (
     *("auc", "metres_to_90%", "metres_to_99%", "periods_to_90%", "pose_error_final_m", "complete"),
 )
 KNOWN = {"truth": "with_the_pose_known", "known": "with_known_correspondences"}  # what is known: key of the difference
-NUMBERED = re.compile(r"(.+)-\d+")  # a run among several that differ in their seed
+NUMBERED = re.compile(r"^(.+)-\d+$")  # a run among several that differ in their seed
 SHARES_OF_BUDGET: Array = np.linspace(0.0, 1.5, 61)  # where the mean curve is evaluated
 
 
@@ -123,16 +123,16 @@ def seeds_of(rows: Sequence[Row]) -> list[Figures]:
     intervals over runs and buildings. Only rows of one estimator, which the caller selects, can be compared.
     """
     together = by_name(rows)
-    groups = {name: runs for name, runs in together.items() if len(runs) > 1}
     return [
         {
             "policy": name,
             "estimator": runs[0].estimator,
             "seeds": len(runs),
-            "figures": differences(runs, []),
+            "figures": differences(runs),
             "differences": {other: differences(runs, row) for other, row in together.items() if other != name},
         }
-        for name, runs in groups.items()
+        for name, runs in together.items()
+        if len(runs) > 1
     ]
 
 
@@ -140,43 +140,17 @@ def by_name(rows: Sequence[Row]) -> dict[str, list[Row]]:
     """The rows under `NAME-*` where two or more are called `NAME-NUMBER`, the others under their own names."""
     found: dict[str, list[Row]] = {}
     for row in rows:
-        numbered = NUMBERED.fullmatch(row.policy)
-        found.setdefault(f"{numbered[1]}-*" if numbered else row.policy, []).append(row)
+        found.setdefault(NUMBERED.sub(r"\1-*", row.policy), []).append(row)
     return {name if len(runs) > 1 else runs[0].policy: runs for name, runs in found.items()}
 
 
-def differences(runs: Sequence[Row], others: Sequence[Row]) -> Figures:
+def differences(runs: Sequence[Row], others: Sequence[Row] = ()) -> Figures:
     """The compared metrics: mean of the runs, minus that of the others where there are any."""
-    return {name: over_runs(of_all(runs, name), of_all(others, name) if others else None) for name in COMPARED}
 
+    def table(rows: Sequence[Row], name: str) -> Any:
+        return np.stack([row.values(name) for row in rows]) if rows else None
 
-def returns_of(rows: Sequence[Row]) -> Figures:
-    """The returns of the lost episodes and of the others, and what returns say of correct coverage.
-
-    `lost`, `others`, `difference` and `ratio` (lost over others) are over the buildings in which some policy was lost
-    and another one was not, the mean of each kind in each building; `correlation` is Pearson's, of the return with
-    correct coverage at the end, over all episodes. Each is {value, low, high, n}, intervals over buildings.
-    """
-    returns, correct, lost = (of_all(rows, name) for name in ("reward", "correct_coverage", "lost"))
-    mixed = (lost > 0.5).any(axis=0) & (lost < 0.5).any(axis=0)
-    of_lost, of_others = (mean_where(which[:, mixed], returns[:, mixed]) for which in (lost > 0.5, lost < 0.5))
-    return {
-        "lost": estimate(of_lost),
-        "others": estimate(of_others),
-        "difference": estimate(of_lost - of_others),
-        "ratio": ratio(of_lost, of_others),
-        "correlation": correlation(returns, correct),
-    }
-
-
-def of_all(rows: Sequence[Row], name: str) -> Array:
-    """(p,n) a metric of each row in each building."""
-    return np.stack([row.values(name) for row in rows]) if rows else np.zeros((0, 0))
-
-
-def mean_where(which: Bools, values: Array) -> Array:
-    """(n,) the mean of each column over the rows of `which` (p,n) bool, at least one."""
-    return np.array(np.where(which, values, 0.0).sum(axis=0) / which.sum(axis=0))
+    return {name: over_runs(table(runs, name), table(others, name)) for name in COMPARED}
 
 
 @dataclass(slots=True, eq=False)
@@ -258,7 +232,6 @@ class Evaluation:
 
     def figures(self, rows: Sequence[Row], command: str) -> Figures:
         """The result as JSON data. Apart from date, command and `timing`, every repetition gives the same."""
-        estimated = [row for row in rows if row.estimator == self.setting.estimator]
         return {
             "date": datetime.now(UTC).date().isoformat(),
             "command": command,
@@ -271,8 +244,7 @@ class Evaluation:
             "interrupted": self.interrupted,
             "failures": sorted(str(failure) for failure in self.failures),
             "rows": [compared(row, rows, self.reference) for row in rows],
-            "seeds": seeds_of(estimated),
-            "returns": returns_of(estimated),
+            "seeds": seeds_of([row for row in rows if row.estimator == self.setting.estimator]),
             "timing": timing(rows),
         }
 

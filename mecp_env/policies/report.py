@@ -12,10 +12,10 @@ import numpy as np
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.files import sanitised
 from mecp_env.core.intervals import BUDGET_M_PER_M2, Figures
-from mecp_env.policies.evaluation import SHARES_OF_BUDGET
+from mecp_env.policies.evaluation import COMPARED, SHARES_OF_BUDGET
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import Info, make_rooms, run_policy
-from mecp_env.policies.setting import Setting, words_of
+from mecp_env.policies.setting import Setting
 from mecp_env.render.palette import FAINT, INK, MARKERS, SERIES, unit
 
 if TYPE_CHECKING:
@@ -23,60 +23,43 @@ if TYPE_CHECKING:
 
     from mecp_env.render.screen import Film
 
-Column = tuple[str, str, str, float]  # heading, name of the figure, format, factor
+Columns = dict[str, tuple[str, str, float]]  # of a figure: heading, format, factor
 
-PERCENT, PLAIN = ".0f", ".1f"
+HEADLINE: Columns = {
+    "correct_over_steps": ("correct coverage over steps", ".3f", 1.0),
+    "correct_over_metres": ("over metres", ".3f", 1.0),
+    "correct_coverage": ("at the end, %", ".1f", 100.0),
+    "lost": ("lost, %", ".0f", 100.0),
+    "auc": ("area under the curve", ".3f", 1.0),
+    "metres_to_90%": ("m to 90 %", ".1f", 1.0),
+    "metres_to_99%": ("m to 99 %", ".1f", 1.0),
+    "complete": ("complete, %", ".0f", 100.0),
+    "pose_error_mean_m": ("pose error, cm", ".1f", 100.0),
+    "pose_error_final_m": ("pose error at the end, cm", ".2f", 100.0),
+}
+EXPLORATION: Columns = {
+    "reached_90%": ("reached 90 %, %", ".0f", 100.0),
+    "reached_99%": ("reached 99 %, %", ".0f", 100.0),
+    "periods_to_90%": ("steps to 90 %", ".0f", 1.0),
+    "periods_to_99%": ("steps to 99 %", ".0f", 1.0),
+    "rooms_found": ("rooms found, %", ".1f", 100.0),
+    "doors_found": ("doors found, %", ".1f", 100.0),
+    "coverage": ("coverage, %", ".1f", 100.0),
+    "metres": ("m in all", ".0f", 1.0),
+    "decisions": ("decisions", ".0f", 1.0),
+    "reward": ("return", ".3f", 1.0),
+}
+LOCALISATION: Columns = {
+    "log_det_mean": ("log det of the pose covariance", ".1f", 1.0),
+    "map_rmse_m": ("map error, cm", ".1f", 100.0),
+    "landmarks": ("landmarks", ".1f", 1.0),
+    "landmarks_false": ("of no corner", ".2f", 1.0),
+    "duplicates": ("duplicates", ".2f", 1.0),
+    "contacts_per_100_m": ("contacts per 100 m", ".2f", 1.0),
+    "diverged": ("diverged, %", ".1f", 100.0),
+}
+COLUMNS = HEADLINE | EXPLORATION | LOCALISATION
 SCORES = {True: ("correct_over_steps", "correct coverage over steps"), False: ("auc", "area under the curve")}  # task?
-HEADLINE: tuple[Column, ...] = (
-    ("correct coverage over steps", "correct_over_steps", ".3f", 1.0),
-    ("over metres", "correct_over_metres", ".3f", 1.0),
-    ("at the end, %", "correct_coverage", PLAIN, 100.0),
-    ("lost, %", "lost", PERCENT, 100.0),
-    ("area under the curve", "auc", ".3f", 1.0),
-    ("m to 90 %", "metres_to_90%", PERCENT, 1.0),
-    ("m to 99 %", "metres_to_99%", PERCENT, 1.0),
-    ("complete, %", "complete", PERCENT, 100.0),
-    ("pose error, cm", "pose_error_mean_m", PLAIN, 100.0),
-    ("at the end, cm", "pose_error_final_m", PLAIN, 100.0),
-)
-EXPLORATION: tuple[Column, ...] = (
-    ("reached 90 %, %", "reached_90%", PERCENT, 100.0),
-    ("reached 99 %, %", "reached_99%", PERCENT, 100.0),
-    ("steps to 90 %", "periods_to_90%", PERCENT, 1.0),
-    ("steps to 99 %", "periods_to_99%", PERCENT, 1.0),
-    ("rooms found, %", "rooms_found", PLAIN, 100.0),
-    ("doors found, %", "doors_found", PLAIN, 100.0),
-    ("coverage, %", "coverage", PLAIN, 100.0),
-    ("m in all", "metres", PERCENT, 1.0),
-    ("decisions", "decisions", PERCENT, 1.0),
-    ("return", "reward", ".3f", 1.0),
-)
-LOCALISATION: tuple[Column, ...] = (
-    ("log det of the pose covariance", "log_det_mean", PLAIN, 1.0),
-    ("map error, cm", "map_rmse_m", PLAIN, 100.0),
-    ("landmarks", "landmarks", PLAIN, 1.0),
-    ("of no corner", "landmarks_false", ".2f", 1.0),
-    ("duplicates", "duplicates", ".2f", 1.0),
-    ("contacts per 100 m", "contacts_per_100_m", ".2f", 1.0),
-    ("diverged, %", "diverged", PLAIN, 100.0),
-)
-DIFFERENCES: tuple[Column, ...] = (
-    ("correct coverage over steps", "correct_over_steps", "+.3f", 1.0),
-    ("over metres", "correct_over_metres", "+.3f", 1.0),
-    ("at the end, %", "correct_coverage", "+.1f", 100.0),
-    ("area under the curve", "auc", "+.3f", 1.0),
-    ("m to 90 %", "metres_to_90%", "+.1f", 1.0),
-    ("m to 99 %", "metres_to_99%", "+.1f", 1.0),
-    ("steps to 90 %", "periods_to_90%", "+.0f", 1.0),
-    ("pose error at the end, cm", "pose_error_final_m", "+.2f", 100.0),
-)
-RETURNS: tuple[Column, ...] = (
-    ("lost", "lost", ".3f", 1.0),
-    ("others", "others", ".3f", 1.0),
-    ("lost - others", "difference", "+.3f", 1.0),
-    ("lost / others", "ratio", ".2f", 1.0),
-    ("correlation with correct coverage", "correlation", ".2f", 1.0),
-)
 DPI = 200
 PANEL = (320, 290)  # px
 ACROSS = 3  # panels in a row
@@ -94,11 +77,10 @@ def page(result: Figures) -> str:
     sections = {
         "Exploration": table(EXPLORATION, labelled(rows)),
         "Localisation and map": table(LOCALISATION, labelled(rows)),
-        against: table(DIFFERENCES, labelled(rows, "against_reference")),
-        "The effect of a known pose": table(DIFFERENCES, labelled(rows, "with_the_pose_known")),
-        "The effect of known correspondences": table(DIFFERENCES, labelled(rows, "with_known_correspondences")),
+        against: table(COMPARED, labelled(rows, "against_reference"), "+"),
+        "The effect of a known pose": table(COMPARED, labelled(rows, "with_the_pose_known"), "+"),
+        "The effect of known correspondences": table(COMPARED, labelled(rows, "with_known_correspondences"), "+"),
         "Trainings with several seeds, in the same buildings": seeds_table(result),
-        "Return of lost episodes and of the others, in the same buildings": returns_table(result),
         "Decisions per second of CPU time": ", ".join(f"{name} {n:,.0f}" for name, n in result["timing"].items()),
         "Episodes that failed": "\n".join(f"- {line}" for line in result["failures"]),
     }
@@ -107,15 +89,11 @@ def page(result: Figures) -> str:
 
 
 def where_of(result: Figures) -> str:
-    """The buildings, and what differs from the default, in words."""
+    """The number of episodes, the buildings, and what differs from the default, in words."""
     setting, count = Setting(**result["setting"]), result["buildings"]
-    words = [f"{count} buildings of the {setting.split} split of `{setting.name}`"]
-    if setting.layout:
-        words = [f"{count} episodes in {setting.plans} building{'s' * (setting.plans > 1)} of `{setting.place}`"]
-        words += [f"robot of `{setting.task}`"] if setting.task else []
-    words += [f"`{word}`" for word in words_of(setting.env)]
-    words += [] if setting.estimator == "slam" else [f"estimator `{setting.estimator}`"]
-    return ", ".join(words)
+    plans = f"{count} episodes in {setting.plans} building{'s' * (setting.plans > 1)}"
+    estimator = "" if setting.estimator == "slam" else f", estimator {setting.estimator}"
+    return f"{plans if setting.layout else f'{count} buildings'}: {setting.where}{estimator}"
 
 
 def labelled(rows: Iterable[Figures], part: str = "figures") -> list[tuple[str, Figures]]:
@@ -129,10 +107,11 @@ def name_of(row: Figures) -> str:
     return f"{row['policy']}{known.get(row['estimator'], '')}"
 
 
-def table(columns: Sequence[Column], rows: Sequence[tuple[str, Figures]]) -> str:
-    """A table with one line per policy; nothing without rows."""
-    lines = [[name, *(cell(figures[key], form, by) for _, key, form, by in columns)] for name, figures in rows]
-    return markdown_table(["", *(heading for heading, *_ in columns)], lines) if rows else ""
+def table(names: Iterable[str], rows: Sequence[tuple[str, Figures]], sign: str = "") -> str:
+    """A table with one line per policy, of differences with a sign; nothing without rows."""
+    columns = [(name, *COLUMNS[name]) for name in names]
+    lines = [[label, *(cell(of[key], sign + form, by) for key, _, form, by in columns)] for label, of in rows]
+    return markdown_table(["", *(heading for _, heading, *_ in columns)], lines) if rows else ""
 
 
 def markdown_table(header: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
@@ -147,7 +126,7 @@ def overview(result: Figures) -> list[str]:
     lines = [["policy", name, f"minus {result['reference']}", "lost, %", "complete, %"]]
     for row in result["rows"]:
         figures, against = row["figures"], row.get("against_reference", {})
-        shares = [number(100.0 * figures[share]["value"], PERCENT) for share in ("lost", "complete")]
+        shares = [number(100.0 * figures[share]["value"], ".0f") for share in ("lost", "complete")]
         lines.append([name_of(row), cell(figures[metric], ".3f"), cell(against.get(metric), "+.3f"), *shares])
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     rows = ["  ".join(f"{text:{width}}" for text, width in zip(line, widths, strict=True)).rstrip() for line in lines]
@@ -168,23 +147,14 @@ def number(value: float, form: str) -> str:
     return text if float(text) else text.lstrip("+-")
 
 
-def seeds_table(result: Figures, columns: Sequence[Column] = DIFFERENCES) -> str:
+def seeds_table(result: Figures) -> str:
     """The mean of each group of trainings minus each other policy; nothing of a result without groups."""
     rows = [
         (f"{group['policy']} ({group['seeds']} seeds) - {other}", figures)
         for group in result.get("seeds", ())
         for other, figures in group["differences"].items()
     ]
-    return table(columns, rows)
-
-
-def returns_table(result: Figures) -> str:
-    """Returns against the map, over all policies with the estimator; nothing of a result from before it was measured.
-
-    A ratio without a positive return of the others has no meaning and is a dash.
-    """
-    found = [part for part in [result.get("returns")] if part and part["lost"]["value"] is not None]
-    return table(RETURNS, [(f"{part['lost']['n']} buildings with both", part) for part in found])
+    return table(COMPARED, rows, "+")
 
 
 def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
@@ -200,7 +170,13 @@ def draw_curves(rows: list[Figures], title: str, path: Path) -> None:
     axes = figure.add_subplot()
     for number, policy in enumerate(dict.fromkeys(row["policy"] for row in rows)):
         draw_policy(axes, [row for row in rows if row["policy"] == policy], number)
-    dress(axes, title)
+    axes.set_title(title, loc="left", fontsize=11, color=unit(INK))
+    axes.set_xlabel(f"metres driven, as a share of the building's budget ({BUDGET_M_PER_M2:g} m per m² of floor)")
+    axes.set_ylabel("floor seen, %")
+    axes.set_xlim(0.0, float(SHARES_OF_BUDGET[-1]))
+    axes.set_ylim(0.0, 1.02)
+    axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
+    axes.axvline(1.0, color=unit(FAINT), linewidth=0.8, linestyle=":")
     open_axes(axes)
     heading = "area under the curve up to 1\n(dashed: pose known)"
     figure.legend(loc="outside right upper", frameon=False, fontsize=9, title=heading, title_fontsize=9)
@@ -218,17 +194,6 @@ def draw_policy(axes: Axes, rows: list[Figures], number: int) -> None:
     axes.fill_between(SHARES_OF_BUDGET, low, high, color=colour, alpha=0.15, linewidth=0.0)
     for row in rows[1:]:
         axes.plot(SHARES_OF_BUDGET, [point["value"] for point in row["curve"]], "--", color=colour, linewidth=1.0)
-
-
-def dress(axes: Axes, title: str) -> None:
-    """Axes, legend and title."""
-    axes.set_title(title, loc="left", fontsize=11, color=unit(INK))
-    axes.set_xlabel(f"metres driven, as a share of the building's budget ({BUDGET_M_PER_M2:g} m per m² of floor)")
-    axes.set_ylabel("floor seen, %")
-    axes.set_xlim(0.0, float(SHARES_OF_BUDGET[-1]))
-    axes.set_ylim(0.0, 1.02)
-    axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}")
-    axes.axvline(1.0, color=unit(FAINT), linewidth=0.8, linestyle=":")
 
 
 def write_film(policies: Sequence[str], setting: Setting, path: Path, trust: bool = False) -> None:
@@ -258,8 +223,8 @@ def record(policy: str, setting: Setting, trust: bool = False) -> Film:
         words = f"{period_s * info['period']:.0f} s    {info['metres']:.0f} m    {info['coverage']:.0%} seen{ended}"
         return thumbnail(env.get_wrapper_attr("view")(), PANEL, policy, words)
 
-    end = run_policy(env, made, lambda info: film.offer(info["period"], lambda: picture(info)), FIRST)
-    film.add(picture(end.info, "    ..." if end.info["goals"] else "    done"))
+    last = run_policy(env, made, lambda info: film.offer(info["period"], lambda: picture(info)), FIRST)
+    film.add(picture(last, "    ..." if last["goals"] else "    done"))
     env.close()
     return film
 

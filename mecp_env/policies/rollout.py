@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -75,15 +76,15 @@ class CoverageCurve:
 
     def metres_to(self, level: float, otherwise: float) -> float:
         """Metres to a coverage, at most `otherwise`, also where it was never reached (for a restricted mean)."""
-        return self._reached(self.metres, level, otherwise)
+        return self._first(self.metres, level, otherwise)
 
     def steps_to(self, level: float, otherwise: float) -> float:
         """Control steps to a coverage, at most `otherwise`, also where it was never reached."""
-        return self._reached(self.steps, level, otherwise)
+        return self._first(self.steps, level, otherwise)
 
-    def _reached(self, at: Sequence[float], level: float, otherwise: float) -> float:
-        places = (place for place, coverage in zip(at, self.coverage, strict=True) if coverage >= level)
-        return float(min(next(places, otherwise), otherwise))
+    def _first(self, at: Sequence[float], level: float, otherwise: float) -> float:
+        reached = int(np.searchsorted(self.coverage, level))  # coverage only grows
+        return float(min([*at[reached : reached + 1], otherwise]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,46 +119,48 @@ class EpisodeResult:
 
 
 @dataclass(slots=True, eq=False)
-class StepLog:
-    """What is recorded in every step, from the environment; `pose_cov` is that of the estimate."""
+class EpisodeLog:
+    """What is recorded of an episode, in every control step and in every decision."""
 
-    pose_cov: Callable[[], Any]
     curve: CoverageCurve = field(default_factory=CoverageCurve)
     pose_errors_m: list[float] = field(default_factory=list)
-    log_dets: list[float] = field(default_factory=list)
+    log_dets: list[float] = field(default_factory=list)  # of the covariance of the estimated pose
     reward: float = 0.0  # of all steps
+    act_s: float = 0.0  # CPU time of the policy
+    decisions: int = 0
+    masked: int = 0  # of these, rows that were not offered: another goal replaced each
+    terminated: bool = False
+    diverged: bool = False
 
-    def add(self, info: Info) -> None:
+    def add_step(self, info: Info, pose_cov: Any) -> None:
         """Record one control step."""
         self.curve.add(info["metres"], info["period"], info["coverage"])
         self.pose_errors_m.append(info["pose_error_m"])
-        self.log_dets.append(log_det(self.pose_cov()))
+        self.log_dets.append(log_det(pose_cov))
         self.reward += sum(value for name, value in info.items() if name.startswith("reward_"))
 
-
-@dataclass(slots=True)
-class EpisodeEnd:
-    """How an episode ended, and the effort of the policy."""
-
-    terminated: bool = False
-    decisions: int = 0
-    masked: int = 0  # of these, rows that were not offered: another goal replaced each
-    act_s: float = 0.0
-    info: Info = field(default_factory=lambda: {"diverged": False})  # of the last action
+    def add_decision(self, act_s: float, step: Any) -> None:
+        """Record one action of the policy, and what `step` returned."""
+        _, _, self.terminated, _, info = step
+        self.act_s += act_s
+        self.decisions += 1
+        self.masked += info["event"] == "masked"
+        self.diverged = info["diverged"]
 
 
 def run_episode(task: EpisodeTask) -> EpisodeResult:
     """Run one episode; the same task gives the same metrics bit for bit."""
     policy = make_policy(task.source or task.policy, task.trust)
     env = make_rooms(task.setting, policy, task.building)
-    log = StepLog(lambda: pose_cov(env))
+    log, place = EpisodeLog(), (task.setting.building(task.building), task.building)
     try:
-        end = run_policy(env, policy, log.add, (task.setting.building(task.building), task.building))
+        for _, act_s, step in decisions(env, policy, lambda info: log.add_step(info, pose_cov(env)), place):
+            log.add_decision(act_s, step)
     except SystemExit as error:  # which would end the process without a word
         raise ConfigError(f"policy: it ends the process ({ended(error)})") from None
     summary: dict[str, float] = env.get_wrapper_attr("summary")()
     env.close()
-    return EpisodeResult(task, log.curve, metrics(log, end, summary, task.setting.max_steps), end.act_s)
+    return EpisodeResult(task, log.curve, metrics(log, summary, task.setting.max_steps), log.act_s)
 
 
 def make_rooms(setting: Setting, policy: Policy, episode: int = 0) -> Env:
@@ -193,15 +196,12 @@ def options_of(policy: Policy) -> dict[str, Any]:
 
 def first_actions(env: Env, policy: Policy, name: str) -> list[Any]:
     """What a policy does in the beginning of an episode. Raises `ConfigError` that names it where that fails."""
-    observation, info = env.reset(seed=0)
-    masks, actions, over = masks_of(env), list[Any](), False
+    actions = []
     with calls_of(name):
-        policy.reset(0)
-        while not over and info["period"] < TRIED_STEPS:
-            action = policy.act(observation, masks())
+        for action, _, step in decisions(env, policy, lambda _: None, (0, 0)):
             actions.append(np.array(action))
-            observation, _, terminated, truncated, info = env.step(action)
-            over = terminated or truncated
+            if step[4]["period"] >= TRIED_STEPS:
+                break
     return actions
 
 
@@ -219,12 +219,21 @@ def pose_cov(env: Env) -> Any:
 
 def run_policy(
     env: Env, policy: Policy, on_step: OnStep, building_seed: tuple[int, int], see: See = lambda observed: observed
-) -> EpisodeEnd:
-    """Explore a building until the episode ends; the policy acts on `see(observation)`.
+) -> Info:
+    """The last info of an episode that a policy plays; see `decisions`."""
+    _, _, last = deque(decisions(env, policy, on_step, building_seed, see), maxlen=1)[0]
+    return dict(last[4])
 
-    `on_step` receives the info of the reset and of every control step, those within drives included.
+
+def decisions(
+    env: Env, policy: Policy, on_step: OnStep, building_seed: tuple[int, int], see: See = lambda observed: observed
+) -> Iterator[tuple[Any, float, Any]]:
+    """The decisions of an episode: the action, CPU seconds in `act`, and what `step` returned.
+
+    The policy acts on `see(observation)`. `on_step` receives the info of the reset and of every control step, those
+    within drives included.
     """
-    end, (building, seed) = EpisodeEnd(), building_seed
+    building, seed = building_seed
     drives = env.has_wrapper_attr("callback")  # of `GoalActions`
     if drives:
         env.set_wrapper_attr("callback", lambda step: on_step(step[4]))
@@ -236,17 +245,15 @@ def run_policy(
     while not ended:
         start = time.thread_time()
         action = policy.act(see(observation), masks())
-        end.act_s += time.thread_time() - start
-        end.decisions += 1
-        observation, _, end.terminated, truncated, end.info = env.step(action)
-        end.masked += end.info["event"] == "masked"
-        ended = end.terminated or truncated
+        act_s = time.thread_time() - start
+        step = env.step(action)
         if not drives:
-            on_step(end.info)
-    return end
+            on_step(step[4])
+        yield action, act_s, step
+        observation, ended = step[0], step[2] or step[3]
 
 
-def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps: int) -> dict[str, float]:
+def metrics(log: EpisodeLog, summary: dict[str, float], max_steps: int) -> dict[str, float]:
     """The metrics of an episode; a coverage never reached counts as the limit (docs/policies.md)."""
     curve, budget = log.curve, budget_m(summary["free_area_m2"])
     figures = {"auc": curve.area_under(budget), "budget_m": budget}
@@ -256,11 +263,11 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
         figures[f"metres_to_{level:.0%}"] = curve.metres_to(level, NEVER_BUDGETS * budget)
         figures[f"periods_to_{level:.0%}"] = curve.steps_to(level, float(max_steps))
     return figures | {
-        "complete": float(is_complete(end, summary)),
-        "terminated": float(end.terminated),
-        "diverged": float(end.info["diverged"]),
-        "decisions": float(end.decisions),
-        "masked": float(end.masked),
+        "complete": float(log.terminated and is_complete(summary)),
+        "terminated": float(log.terminated),
+        "diverged": float(log.diverged),
+        "decisions": float(log.decisions),
+        "masked": float(log.masked),
         "reward": log.reward,
         "pose_error_mean_m": float(np.mean(log.pose_errors_m)),
         "log_det_mean": float(np.mean(log.log_dets)),
@@ -268,10 +275,10 @@ def metrics(log: StepLog, end: EpisodeEnd, summary: dict[str, float], max_steps:
     }
 
 
-def is_complete(end: EpisodeEnd, summary: dict[str, float]) -> bool:
-    """True when the episode ended by itself, not lost, with all rooms and doors found and 95 % of the floor seen."""
+def is_complete(summary: dict[str, float]) -> bool:
+    """True when the robot is not lost, has found all rooms and doors, and has seen 95 % of the floor."""
     found = all(summary[f"{name}_found"] == summary[name] for name in ("rooms", "doors"))
-    return bool(end.terminated and not summary["lost"] and found and summary["coverage"] >= COMPLETE_COVERAGE)
+    return bool(not summary["lost"] and found and summary["coverage"] >= COMPLETE_COVERAGE)
 
 
 def log_det(pose_cov: Any) -> float:

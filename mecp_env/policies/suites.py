@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import cache
@@ -33,6 +32,7 @@ LESS_IS_BETTER = ("lost",)
 TRAINING = ("hours", "seeds")  # what is known of a training
 FORMAT, VERSION = "mecp_env/suite", 1
 MOST_BYTES = 50_000_000  # of a result file
+Key = tuple[str, str, str]  # of a line: policy, estimator, and name of the file, "" of a reference
 SAMPLES = 3  # buildings of each setting whose content is part of the hash
 FIXED = ("layout", "start", "max_steps", "robot", "laser", "odometry", "crowd", "clutter", "end")  # of a configuration
 EXPECTED = "name result files, as mecp-env submit writes them"
@@ -65,37 +65,6 @@ def reference_rows(suite: str, frozen: str) -> list[dict[str, Any]]:
     return list(content["results"]) if content.get("hash") == frozen else []
 
 
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """A line of the table."""
-
-    key: tuple[str, str]  # policy and estimator
-    source: str  # name of the file; "" of a reference
-    figures: Mapping[str, Figures]  # by task
-    about: Mapping[str, float]  # hours and seeds where they are known
-
-    @property
-    def total(self) -> float:
-        """The sum of the figures, by which lines are sorted."""
-        return float(sum(figure["value"] for figure in self.figures.values()))
-
-    @property
-    def shown(self) -> Any:
-        """The policy and its cells: lines in which these are equal repeat each other."""
-        return self.key, {task: cell(figure, ".3f") for task, figure in self.figures.items()}
-
-    def label(self, several: bool) -> str:
-        """The policy, the estimator where it has some ground truth, the file where `several` have that policy."""
-        policy, estimator = self.key
-        parts = [policy, estimator if estimator != "slam" else "", self.source if several else ""]
-        return ", ".join(safe_name(part) for part in parts if part) + ("" if self.source else SUFFIX)
-
-    def cells(self, tasks: Sequence[str], about: Sequence[str]) -> list[str]:
-        """The figures of the tasks, and hours and seeds; a dash where nothing is known."""
-        figures = [cell(self.figures.get(task), ".3f") for task in tasks]
-        return figures + [f"{self.about[name]:g}" if name in self.about else "-" for name in about]
-
-
 def leaderboard(
     submissions: Mapping[str, Mapping[str, Any]],
     metric: str = "correct_over_steps",
@@ -107,36 +76,50 @@ def leaderboard(
     `references` are rows that the package contains; a line of a file that repeats one is left out. Hours and seeds have
     columns where any line has them. No name can add a line or a column.
     """
-    found = entries_of({"results": references}, metric, "")
-    for source, content in submissions.items():
-        known = [entry.shown for entry in found]
-        found += [entry for entry in entries_of(content, metric, source) if entry.shown not in known]
-    return table_of(sorted(found, key=lambda entry: entry.total, reverse=metric not in LESS_IS_BETTER))
-
-
-def table_of(found: Sequence[Entry]) -> str:
-    """The lines of a table in their order."""
-    tasks = list(dict.fromkeys(task for entry in found for task in entry.figures))
-    about = [name for name in TRAINING if any(name in entry.about for entry in found)]
-    counts = Counter(entry.key for entry in found)
-    lines = [[entry.label(counts[entry.key] > 1), *entry.cells(tasks, about)] for entry in found]
-    return markdown_table(["", *map(safe_name, tasks), *about], lines)
-
-
-def entries_of(content: Mapping[str, Any], metric: str, source: str) -> list[Entry]:
-    """A line per policy and estimator; `content` has hours and seeds of all, or each of its results its own."""
-    rows: dict[tuple[str, str], list[Mapping[str, Any]]] = {}
-    for row in content["results"]:
-        rows.setdefault((row["policy"], row["estimator"]), []).append({**content, **row})
-    return [
-        Entry(
-            key,
-            source,
-            {row["task"]: row["figures"][metric] for row in some},
-            {name: some[-1][name] for name in TRAINING if some[-1].get(name) is not None},
-        )
-        for key, some in rows.items()
+    found, about = gathered({"": {"results": references}, **submissions}, metric)
+    order = ordered(found, metric)
+    tasks = list(dict.fromkeys(task for key in order for task in found[key]))
+    extra = sorted(set().union(*(about[key] for key in order)))
+    lines = [
+        [label_of(key, order), *(cell(found[key].get(task), ".3f") for task in tasks)]
+        + [about[key].get(name, "-") for name in extra]
+        for key in order
     ]
+    return markdown_table(["", *map(safe_name, tasks), *extra], lines)
+
+
+def gathered(
+    contents: Mapping[str, Mapping[str, Any]], metric: str
+) -> tuple[dict[Key, dict[str, Figures]], dict[Key, dict[str, str]]]:
+    """Of each line the figure of each task, and hours and seeds where they are known.
+
+    A content has hours and seeds of all its results, or each of these has its own.
+    """
+    found: dict[Key, dict[str, Figures]] = {}
+    about: dict[Key, dict[str, str]] = {}
+    for source, content in contents.items():
+        for row in content["results"]:
+            key, known = (row["policy"], row["estimator"], source), {**content, **row}
+            found.setdefault(key, {})[row["task"]] = row["figures"][metric]
+            about[key] = {name: f"{known[name]:g}" for name in TRAINING if known.get(name) is not None}
+    return found, about
+
+
+def ordered(found: Mapping[Key, Mapping[str, Figures]], metric: str) -> list[Key]:
+    """The lines, the best first; of those that show the same, the first."""
+    once: dict[str, Key] = {}
+    for key, figures in found.items():
+        once.setdefault(str((key[:2], {task: cell(figure, ".3f") for task, figure in figures.items()})), key)
+    totals = {key: sum(figure["value"] for figure in found[key].values()) for key in once.values()}
+    return sorted(totals, key=totals.__getitem__, reverse=metric not in LESS_IS_BETTER)
+
+
+def label_of(key: Key, keys: Sequence[Key]) -> str:
+    """The policy, the estimator where it has some ground truth, and the file where several have that policy."""
+    policy, estimator, source = key
+    several = sum(other[:2] == key[:2] for other in keys) > 1
+    parts = [policy, estimator if estimator != "slam" else "", source if several else ""]
+    return ", ".join(safe_name(part) for part in parts if part) + ("" if source else SUFFIX)
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,6 +1,5 @@
 """The scripts of `agents/` run from start to end with small settings."""
 
-import csv
 import os
 import subprocess
 import sys
@@ -46,20 +45,11 @@ def test_the_example_selects_as_the_policy_of_the_package() -> None:
             assert RoomByRoom().act(seen, given) == BreadthFirstPolicy().act(seen, given)
 
 
-def test_evaluation_prints_the_means(launcher: Launcher, tmp_path: Path) -> None:
-    printed = run_script(launcher, "evaluate", tmp_path, "--difficulty", "easy", "--episodes", "2", "--max-steps", "10")
-    assert "building   1: coverage" in printed
-    assert "mean coverage" in printed
-
-
 @pytest.mark.slow
-@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "recurrent_ppo"])
-def test_training_ends_with_weights(launcher: Launcher, algorithm: str, tmp_path: Path) -> None:
+def test_training_ends_with_weights(launcher: Launcher, tmp_path: Path) -> None:
     pytest.importorskip("sb3_contrib")
-    printed = run_script(
-        launcher, f"train_{algorithm}", tmp_path, *SMALL.split(), "--out", str(tmp_path / "w.safetensors")
-    )
-    assert "on the validation split" in printed
+    options = f"{SMALL} --out {tmp_path / 'w.safetensors'}"
+    assert "on the validation split" in run_script(launcher, "train_maskable_ppo", tmp_path, *options.split())
     assert (tmp_path / "w.safetensors").stat().st_size > 10_000
 
 
@@ -73,16 +63,15 @@ def test_the_first_training_writes_model_and_curve(
     pytest.importorskip("sb3_contrib")
     options = f"--algorithm {learner} --steps {steps} --buildings 1 --environments 2 --max-steps 60 --out {tmp_path}"
     run_script(launcher, "train_first", tmp_path, *options.split())
-    with (tmp_path / "seed-0" / "progress.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert int(rows[0]["steps"]) == 0
-    assert int(rows[-1]["steps"]) >= steps
-    assert 0.0 < float(rows[-1]["coverage"]) <= 1.0
+    rows = np.genfromtxt(tmp_path / "seed-0" / "progress.csv", delimiter=",", names=True)
+    assert rows["steps"][0] == 0
+    assert rows["steps"][-1] >= steps
+    assert 0.0 < rows["coverage"][-1] <= 1.0
     assert (tmp_path / "seed-0" / "model.zip").stat().st_size > 10_000
     assert (tmp_path / "curve.png").stat().st_size > 10_000
 
 
-@pytest.mark.parametrize("algorithm", ["maskable_ppo", "ppo", "recurrent_ppo"])
+@pytest.mark.parametrize("algorithm", ["maskable_ppo", "first"])
 def test_without_stable_baselines_a_script_says_in_one_line_what_to_install(algorithm: str, tmp_path: Path) -> None:
     for name in ("stable_baselines3", "sb3_contrib"):
         (tmp_path / f"{name}.py").write_text(f"raise ModuleNotFoundError('none', name={name!r})")

@@ -8,7 +8,7 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
 from mecp_env.learning import tables  # noqa: E402
-from mecp_env.learning.encoder import make_network, of_rows, used_rows  # noqa: E402
+from mecp_env.learning.encoder import make_network, used_rows  # noqa: E402
 from mecp_env.learning.fits import downsample, downsampled_space  # noqa: E402
 from mecp_env.policies.explorers import Nearest, NextBestView  # noqa: E402
 from tests.learning.training import batch, logits, quick, shaken  # noqa: E402
@@ -116,19 +116,6 @@ def test_a_batch_gives_each_observation_the_features_that_it_has_alone(algorithm
         together = encoder({name: torch.cat([row[name] for row in rows]) for name in rows[0]})
         alone = torch.cat([encoder(row) for row in rows])
     assert torch.allclose(together, alone, rtol=1e-4, atol=1e-4)
-
-
-def test_a_network_of_rows_has_its_values_and_gradients_in_the_valid_ones():
-    torch.manual_seed(0)
-    network, rows, valid = torch.nn.Linear(3, 5), torch.randn(4, 6, 3), torch.rand(4, 6) > 0.5
-    found = []
-    for codes in (network(rows) * valid.unsqueeze(-1), of_rows(network, rows, valid)):
-        network.zero_grad()
-        codes.square().sum().backward()
-        found.append((codes, network.weight.grad.clone()))
-    assert torch.allclose(found[0][0], found[1][0], atol=1e-6)
-    assert torch.allclose(found[0][1], found[1][1], atol=1e-4)
-    assert not of_rows(network, rows, valid & False).any()
 
 
 def test_surroundings_are_the_means_of_the_cells_inside():

@@ -1,6 +1,4 @@
-"""Options in a rollout of Stable-Baselines3: discounts of their own, and the value after a step limit."""
-
-import shutil
+"""Options in a rollout of Stable-Baselines3: discounts of their own, advantages, and the value after a step limit."""
 
 import numpy as np
 import pytest
@@ -9,12 +7,11 @@ torch = pytest.importorskip("torch")
 pytest.importorskip("sb3_contrib")
 
 from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
-from stable_baselines3.common.vec_env import VecNormalize  # noqa: E402
 
 from mecp_env.learning.encoder import make_model  # noqa: E402
 from mecp_env.learning.environments import make_many  # noqa: E402
-from mecp_env.learning.sb3_batch import OptionCallback, bootstrap_truncated  # noqa: E402
-from tests.learning.training import QUICK, checkpoints, quick, resume, run, weights_in  # noqa: E402
+from mecp_env.learning.sb3_batch import OptionBuffer, OptionCallback, bootstrap_truncated  # noqa: E402
+from tests.learning.training import QUICK, quick  # noqa: E402
 
 
 class Discounts(BaseCallback):
@@ -32,7 +29,7 @@ def test_each_option_of_a_rollout_has_the_discount_that_its_environment_names():
     config = quick(
         "maskable_ppo", environments=3, buildings={"layout": "two_rooms"}, env=QUICK["env"] | {"max_steps": 40}
     )
-    venv = VecNormalize(make_many(config, 0), norm_obs=False, gamma=0.9)
+    venv = make_many(config, 0)
     model, kept = make_model(config, venv, 0), Discounts()
     model.learn(model.n_steps * 3, callback=[OptionCallback(), kept])
     np.testing.assert_allclose(model.rollout_buffer.discounts, kept.seen, rtol=1e-6)
@@ -61,14 +58,25 @@ def test_the_value_after_a_step_limit_counts_by_the_discount_of_its_option():
     assert not infos[0]["TimeLimit.truncated"]  # Stable-Baselines3 would add it again
 
 
-@pytest.mark.slow
-def test_two_runs_that_continue_from_a_checkpoint_learn_the_same(tmp_path):
-    folder, _ = run(tmp_path, workers="batch", steps=12)
-    weights = []
-    for name in ("a", "b"):
-        shutil.copytree(folder, tmp_path / name)
-        assert resume(tmp_path / name, "--steps", "24") == 0
-        last = checkpoints(tmp_path / name)[-1]
-        assert int(last.stem) == 24
-        weights.append(weights_in(last))
-    assert all(torch.equal(weights[0][key], weights[1][key]) for key in weights[0])
+def test_advantages_of_drives_are_those_of_the_definition():
+    """Against the plain sums, over an end of an episode in the middle."""
+    config = quick()
+    venv = make_many(config, 0)
+    rng = np.random.default_rng(0)
+    buffer = OptionBuffer(6, venv.observation_space, venv.action_space, "cpu", 0.9, 1.0, n_envs=2)
+    venv.close()
+    buffer.rewards, buffer.values = (rng.normal(size=(6, 2)).astype(np.float32) for _ in range(2))
+    buffer.discounts = rng.uniform(0.5, 1.0, (6, 2)).astype(np.float32)
+    buffer.episode_starts[3, 0] = 1.0
+    last, dones = rng.normal(size=2).astype(np.float32), np.array([False, True])
+    buffer.compute_returns_and_advantage(torch.as_tensor(last), dones)
+    for column in range(2):
+        for row in range(6):
+            expected, weight = 0.0, 1.0
+            for k in range(row, 6):
+                ends = buffer.episode_starts[k + 1, column] if k < 5 else dones[column]
+                ahead = buffer.values[k + 1, column] if k < 5 else last[column]
+                onward = buffer.discounts[k, column] * (1.0 - ends)
+                expected += weight * (buffer.rewards[k, column] + onward * ahead - buffer.values[k, column])
+                weight *= onward * 0.9
+            assert buffer.advantages[row, column] == pytest.approx(expected, abs=1e-5)

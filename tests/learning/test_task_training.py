@@ -19,7 +19,6 @@ from mecp_env.learning.encoder import make_network  # noqa: E402
 from mecp_env.learning.environments import make_env  # noqa: E402
 from mecp_env.learning.fits import downsampled_space  # noqa: E402
 from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.learning.train import check_teacher  # noqa: E402
 from mecp_env.policies.active import Active, Returning, Stachniss  # noqa: E402
 from mecp_env.policies.registry import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
 from mecp_env.policies.rollout import options_of  # noqa: E402
@@ -147,9 +146,3 @@ def test_a_run_in_a_task_resumes_and_its_policy_fits_that_observation_only(tmp_p
     plain = gym.make("mecp_env/Rooms-v0", difficulty="easy", actions="goal").reset(seed=0)[0]
     with pytest.raises(ConfigError, match="reads `localisation`, the observation has pose, pose_cov"):
         policy.act(plain)
-
-
-def test_a_teacher_that_acts_on_its_uncertainty_needs_a_task():
-    check_teacher(quick(**SMALL, warm_start={"teacher": "stachniss"}))
-    with pytest.raises(ConfigError, match="stachniss acts on its uncertainty, which a `task` shows"):
-        check_teacher(quick(warm_start={"teacher": "stachniss"}))

@@ -2,10 +2,8 @@
 
 import json
 import os
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Any
-from unittest.mock import patch
 
 from mecp_env.cli import main as cli
 from mecp_env.cli.base import Line, run_command
@@ -68,34 +66,33 @@ def write_config(path: Path, **fields: object) -> Path:
     return path
 
 
-def checkpoints(folder: Path) -> list[Path]:
-    """The checkpoints of a run, the oldest first."""
-    return sorted(path for path in folder.glob("checkpoints/*.zip") if path.stem.isdecimal())
+def made_in(folder: Path) -> list[int]:
+    """The decisions at the checkpoints of a run."""
+    return sorted(int(path.stem) for path in folder.glob("checkpoints/*.zip") if path.stem.isdecimal())
 
 
-def weights_in(checkpoint: Path) -> dict[str, Any]:
-    """The weights of the policy in a checkpoint."""
+def weights_in(folder: Path) -> dict[str, Any]:
+    """The weights of the policy in the last checkpoint of a run."""
     from stable_baselines3.common.save_util import load_from_zip_file
 
-    return dict(load_from_zip_file(checkpoint, load_data=False)[1]["policy"])
+    return dict(load_from_zip_file(max(folder.glob("checkpoints/*.zip")), load_data=False)[1]["policy"])
 
 
-def run(tmp_path: Path, *words: str, curves: bool = False, **fields: object) -> tuple[Path, int]:
-    """A run in this process; its folder and exit code. Only with `curves` these are drawn."""
+def run(tmp_path: Path, *words: str, **fields: object) -> tuple[Path, int]:
+    """A run in this process; its folder and exit code."""
     config, folder = write_config(tmp_path / "given.json", **fields), tmp_path / "run"
     line = ["--config", str(config), "--out", str(folder), *words]
-    return folder, _command(Train(config=config, out=folder), line, words, curves)
+    return folder, _command(Train(config=config, out=folder), line, words)
 
 
 def resume(folder: Path, *words: str) -> int:
     """The exit code of a run that continues in this process."""
-    return _command(Train(resume=folder), ["--resume", str(folder), *words], words, False)
+    return _command(Train(resume=folder), ["--resume", str(folder), *words], words)
 
 
-def _command(train: Train, line: list[str], words: tuple[str, ...], curves: bool) -> int:
+def _command(train: Train, line: list[str], words: tuple[str, ...]) -> int:
     """The exit code of `mecp-env train`; a line without `words` is not parsed, which takes a third of a second."""
-    with nullcontext() if curves else patch("mecp_env.learning.train.draw_training"):
-        return cli.main(["train", *line]) if words else run_command(lambda: train.run(Line(line)))
+    return cli.main(["train", *line]) if words else run_command(lambda: train.run(Line(line)))
 
 
 def start(launcher: Launcher, *words: str) -> Process:

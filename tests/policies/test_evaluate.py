@@ -8,7 +8,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,10 @@ from mecp_env.policies.report import cell, page
 from mecp_env.policies.rollout import (
     LEAST_LOG_DET,
     OVER_LIMITS,
-    CoverageCurve,
-    EpisodeEnd,
+    EpisodeLog,
     EpisodeResult,
     EpisodeTask,
     Setting,
-    StepLog,
     is_complete,
     log_det,
     metrics,
@@ -66,14 +64,12 @@ FINAL |= {"periods": 9.0, "pose_error_final_m": 0.2, "landmarks": 4.0, "duplicat
 FINAL |= {"lost": False, "map_rmse_m": 0.01, "landmarks_false": 0.0}
 
 
-def toy(policy: str, building: int, auc: float, estimator: str = "slam") -> EpisodeResult:
+def toy(policy: str, building: int, auc: float, estimator: str = "slam", terminated: bool = True) -> EpisodeResult:
     """An episode of which only the area under the curve matters."""
-    log = StepLog(lambda: np.zeros(6))
+    log = EpisodeLog(pose_errors_m=[0.1, 0.3], log_dets=[-30.0, -20.0], terminated=terminated, decisions=3)
     log.curve.add(0.0, 0, auc)
-    log.pose_errors_m, log.log_dets = [0.1, 0.3], [-30.0, -20.0]
     areas = dict.fromkeys(("coverage", "correct_coverage", *OVER_LIMITS.values()), auc)
-    end, final = EpisodeEnd(terminated=True, decisions=3, act_s=0.5), FINAL | areas
-    figures = metrics(log, end, final, 100)
+    figures = metrics(log, FINAL | areas, 100)
     return EpisodeResult(EpisodeTask(policy, building, Setting(estimator=estimator)), log.curve, figures, 0.5)
 
 
@@ -81,29 +77,21 @@ def test_an_episode_follows_from_its_task_and_begins_where_all_others_do(tmp_pat
     tasks = [("random_goal", 0), ("random_goal", 0), ("random_goal", 1), ("bfs", 1), ("random_walk", 1)]
     first, again, *same = (run_episode(EpisodeTask(name, building, EASY)) for name, building in tasks)
     assert first.figures == again.figures
-    assert (first.curve.metres, first.curve.coverage) == (again.curve.metres, again.curve.coverage)
+    assert asdict(first.curve) == asdict(again.curve)
     assert first.curve.coverage[0] != same[0].curve.coverage[0]
     for figure in ("free_area_m2", "budget_m"):
         assert len({episode.figures[figure] for episode in same}) == 1
     assert len({episode.curve.coverage[0] for episode in same}) == 1
     read = KeptResults(tmp_path, EpisodeResult, {}).keep("x", first)  # through its file, bit for bit
     assert (read.task, read.figures, read.act_s) == (first.task, first.figures, first.act_s)
-    assert vars_of(read.curve) == vars_of(first.curve)
+    assert asdict(read.curve) == asdict(first.curve)
 
 
-def vars_of(curve: CoverageCurve) -> list[list[float]]:
-    return [curve.metres, curve.coverage, curve.steps]
-
-
-def same_in_every_run(result: dict[str, Any]) -> str:
-    """The part of a result that every repetition gives, as text."""
-    return json.dumps({name: result[name] for name in result.keys() - {"timing", "date", "command"}}, sort_keys=True)
-
-
-def contents(out: Path) -> tuple[str, bytes, bytes]:
+def contents(out: Path) -> tuple[Any, bytes, bytes]:
     """What the files of an evaluation say that every repetition gives."""
     result = json.loads((out / "results.json").read_text())
-    return same_in_every_run(result), (out / "episodes.csv").read_bytes(), (out / "curves.png").read_bytes()
+    repeated = {name: result[name] for name in result.keys() - {"timing", "date", "command"}}
+    return repeated, (out / "episodes.csv").read_bytes(), (out / "curves.png").read_bytes()
 
 
 @pytest.mark.slow
@@ -212,14 +200,6 @@ class Masked(Nearest):
         return 31
 
 
-def test_a_score_that_is_that_of_the_nearest_goal_is_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(tmp_path, f"{__name__}:Masked gain", episodes=1, max_steps=20) == 0
-    said = capsys.readouterr().err
-    assert "Masked chose an empty row in 100% of its decisions" in said
-    assert "gain chose" not in said
-    assert "nearest is not among the policies" in said  # with which they would be compared
-
-
 class NoAction(Nearest):
     """Returns no action."""
 
@@ -246,11 +226,16 @@ class Remembering(Nearest):
         return self.decisions
 
 
-def test_a_policy_that_reset_does_not_set_back_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert evaluate(tmp_path, f"{__name__}:Remembering random_goal", episodes=1, max_steps=20) == 0
+def test_a_policy_is_told_of_what_makes_its_score_one_of_another_or_of_chance(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert evaluate(tmp_path, f"{__name__}:Masked {__name__}:Remembering gain", episodes=1, max_steps=20) == 0
     said = capsys.readouterr().err
+    assert "Masked chose an empty row in 100% of its decisions" in said
     assert "Remembering acted differently when the beginning of an episode was repeated" in said
-    assert "random_goal acted" not in said
+    assert "gain chose" not in said
+    assert "gain acted" not in said
+    assert "nearest is not among the policies" in said  # with which they would be compared
 
 
 def raising(error: BaseException, building: int) -> Callable[[EpisodeTask], EpisodeResult]:
@@ -324,11 +309,11 @@ def test_each_row_is_compared_with_the_reference_and_with_itself_unsure() -> Non
 
 
 def test_complete_is_found_seen_and_ended_by_itself() -> None:
-    final = {"rooms": 3.0, "rooms_found": 3.0, "doors": 2.0, "doors_found": 2.0, "coverage": 0.97, "lost": False}
-    assert is_complete(EpisodeEnd(terminated=True), final)
-    assert not is_complete(EpisodeEnd(terminated=False), final)
-    for lacking in ({"rooms_found": 2.0}, {"doors_found": 1.0}, {"coverage": 0.94}, {"lost": True}):
-        assert not is_complete(EpisodeEnd(terminated=True), final | lacking)
+    assert toy("a", 0, 0.97).figures["complete"]
+    assert not toy("a", 0, 0.97, terminated=False).figures["complete"]
+    assert is_complete(FINAL | {"coverage": 0.97})
+    for lacking in ({"rooms_found": 2.0}, {"doors_found": 2.0}, {"coverage": 0.94}, {"lost": True}):
+        assert not is_complete(FINAL | {"coverage": 0.97} | lacking)
 
 
 def test_the_log_det_is_that_of_the_matrix() -> None:
@@ -357,7 +342,7 @@ def test_the_page_has_a_line_per_row_with_intervals() -> None:
     text = page(evaluation.figures(evaluation.rows(), ""))
     assert "| nearest | 0.500 [-] |" in text
     assert "| x, pose known | 0.600" in text
-    assert "1 buildings of the validation split of `easy`" in text
+    assert "1 buildings: easy, split validation" in text
 
 
 def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(

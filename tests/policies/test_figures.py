@@ -1,32 +1,21 @@
-"""Figures of an evaluation, by hand: coverage over metres, returns of lost episodes, several seeds of a training."""
+"""Figures of an evaluation, by hand: coverage over metres, intervals, several seeds of a training."""
 
 import numpy as np
 import pytest
 
 from mecp_env.core.intervals import budget_m, correlation, estimate, over_runs
-from mecp_env.policies.evaluation import COMPARED, Row, by_name, returns_of, seeds_of
-from mecp_env.policies.report import returns_table, seeds_table
+from mecp_env.policies.evaluation import COMPARED, Row, by_name, seeds_of
+from mecp_env.policies.report import seeds_table
 from mecp_env.policies.rollout import CoverageCurve, EpisodeResult, EpisodeTask
 from mecp_env.policies.setting import Setting
 
 
-def row_of(policy: str, *figures: dict[str, float]) -> Row:
-    """The episodes of a policy, one in each building."""
-    tasks = [EpisodeTask(policy, building, Setting()) for building in range(len(figures))]
-    return Row(
-        policy, "slam", tuple(EpisodeResult(t, CoverageCurve(), f, 0.0) for t, f in zip(tasks, figures, strict=True))
-    )
-
-
-def lost_row(policy: str, *episodes: tuple[float, float, bool]) -> Row:
-    """Of each episode the return, correct coverage at the end, and whether it was lost."""
-    names = ("reward", "correct_coverage", "lost")
-    return row_of(policy, *(dict(zip(names, map(float, values), strict=True)) for values in episodes))
-
-
 def row(policy: str, *values: float) -> Row:
-    """All metrics are equal."""
-    return row_of(policy, *(dict.fromkeys(COMPARED, value) for value in values))
+    """The episodes of a policy, one in each building, in which all metrics are equal."""
+    tasks = [EpisodeTask(policy, building, Setting()) for building in range(len(values))]
+    figures = [dict.fromkeys(COMPARED, value) for value in values]
+    results = (EpisodeResult(t, CoverageCurve(), f, 0.0) for t, f in zip(tasks, figures, strict=True))
+    return Row(policy, "slam", tuple(results))
 
 
 @pytest.fixture
@@ -46,6 +35,9 @@ def test_the_area_under_the_curve_by_hand(curve: CoverageCurve) -> None:
     assert curve.area_under(1000.0) == pytest.approx(0.9, abs=0.005)
     assert curve.at(np.array([0.0, 1.99, 2.0, 6.0, 500.0])).tolist() == [0.2, 0.2, 0.5, 0.9, 0.9]
     assert budget_m(150.0) == 75.0
+    curve.add(12, 41, 1.0)  # turning on the spot costs no metres
+    curve.add(12, 42, 1.1)
+    assert curve.area_under(13.0) == pytest.approx((2 * 0.2 + 4 * 0.5 + 6 * 0.9 + 1.1) / 13.0)
 
 
 def test_a_level_never_reached_or_beyond_the_limit_counts_as_the_limit(curve: CoverageCurve) -> None:
@@ -56,39 +48,6 @@ def test_a_level_never_reached_or_beyond_the_limit_counts_as_the_limit(curve: Co
     assert curve.metres_to(0.9, 5.0) == 5.0
 
 
-def test_turning_on_the_spot_costs_no_metres() -> None:
-    curve = CoverageCurve()
-    for step in range(3):
-        curve.add(0.0, step, 0.1 * (step + 1))
-    curve.add(1.0, 3, 0.8)
-    assert curve.area_under(2.0) == pytest.approx((0.3 + 0.8) / 2)
-
-
-def test_lost_episodes_are_compared_with_the_others_of_their_building() -> None:
-    first = lost_row("a", (-4.0, 0.3, True), (9.0, 0.9, False), (-1.0, 0.5, True))
-    other = lost_row("b", (10.0, 0.9, False), (11.0, 1.0, False), (-2.0, 0.4, True))
-    third = lost_row("c", (20.0, 1.0, False), (-6.0, 0.2, True), (0.0, 0.5, True))
-    found = returns_of([first, other, third])
-    assert found["lost"]["n"] == 2  # in the third building, all were lost
-    assert found["lost"]["value"] == pytest.approx((-4.0 - 6.0) / 2)
-    assert found["others"]["value"] == pytest.approx((15.0 + 10.0) / 2)
-    assert found["difference"]["value"] == pytest.approx(-17.5)
-    assert found["ratio"]["value"] == pytest.approx(-0.4)
-    assert found["correlation"]["n"] == 9
-    expected = "| 2 buildings with both | -5.000 [-6.000, -4.000] | 12.500 [10.000, 15.000] |"
-    assert expected in returns_table({"returns": found})
-
-
-def test_where_none_or_all_were_lost_there_is_nothing_to_compare() -> None:
-    for lost in (False, True):
-        found = returns_of([lost_row("a", (1.0, 0.5, lost), (2.0, 0.6, lost))])
-        assert found["lost"]["value"] is None
-        assert found["correlation"]["value"] == pytest.approx(1.0)
-        assert returns_table({"returns": found}) == ""
-    assert returns_of([])["correlation"]["value"] is None
-    assert returns_table({}) == ""  # of an older result
-
-
 def test_the_correlation_is_that_of_numpy_and_its_interval_widens_when_the_values_of_a_run_agree() -> None:
     rng = np.random.default_rng(0)
     x = rng.normal(size=(1, 60))
@@ -96,9 +55,8 @@ def test_the_correlation_is_that_of_numpy_and_its_interval_widens_when_the_value
     once, copied = correlation(x, y), correlation(np.repeat(x, 4, axis=0), np.repeat(y, 4, axis=0))
     assert once["value"] == pytest.approx(np.corrcoef(x[0], y[0])[0, 1])
     assert once["low"] < once["value"] < once["high"]
-    assert [copied[end] for end in ("value", "low", "high")] == pytest.approx(
-        [once[end] for end in ("value", "low", "high")]
-    )  # four copies of a run say no more than one
+    ends = ("value", "low", "high")
+    assert [copied[end] for end in ends] == pytest.approx([once[end] for end in ends])  # four copies say no more
     assert correlation(x, np.ones_like(x))["value"] is None
     assert correlation([[1.0]], [[2.0]])["value"] is None
 
@@ -111,13 +69,8 @@ def test_runs_that_differ_in_their_last_number_are_taken_together() -> None:
 
 
 def test_a_group_is_compared_with_policies_and_other_groups() -> None:
-    rows = [
-        row("a-0", 0.5, 0.7),
-        row("a-1", 0.7, 0.9),
-        row("b-0", 0.4, 0.4),
-        row("b-1", 0.2, 0.4),
-        row("gain", 0.6, 0.6),
-    ]
+    given = {"a-0": (0.5, 0.7), "a-1": (0.7, 0.9), "b-0": (0.4, 0.4), "b-1": (0.2, 0.4), "gain": (0.6, 0.6)}
+    rows = [row(name, *values) for name, values in given.items()]
     ours, others = seeds_of(rows)
     assert (ours["policy"], ours["seeds"], others["policy"]) == ("a-*", 2, "b-*")
     assert ours["figures"]["lost"]["value"] == pytest.approx(0.7)

@@ -17,19 +17,11 @@ from tests.command_lines import modules_of_page
 from tests.processes import run_python
 
 
-def test_a_trained_policy_is_loaded_only_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    asked: list[str] = []
-
-    def load(name: str, trust: bool = False) -> Nearest:
-        asked.append(name)
-        if name == "ppo":
-            raise ModuleNotFoundError("No module named 'torch'", name="torch")
-        return Nearest()
+def test_a_trained_policy_without_pytorch_names_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    def load(name: str, trust: bool) -> Nearest:
+        raise ModuleNotFoundError("No module named 'torch'", name="torch")
 
     monkeypatch.setitem(sys.modules, "mecp_env.learning.learned", types.SimpleNamespace(load=load))
-    make_policy("maskable_ppo")
-    make_policy(str(tmp_path))
-    assert asked == ["maskable_ppo", str(tmp_path)]
     with pytest.raises(ConfigError, match=r"'ppo' is a trained policy and needs torch; install the extra `rl`"):
         make_policy("ppo")
 
@@ -84,12 +76,6 @@ class Leaves(Nearest):
 def test_a_name_of_no_policy_that_can_be_made_says_why(name: str, said: str) -> None:
     with pytest.raises(ConfigError, match=said):
         make_policy(name)
-
-
-@pytest.mark.parametrize("raised", [ValueError("boom"), SystemExit("boom")])
-def test_what_a_policy_raises_names_it(raised: BaseException) -> None:
-    with pytest.raises(ConfigError, match=r"my:Own' .*boom"), registry.calls_of("my:Own"):
-        raise raised
 
 
 def test_a_file_below_the_working_directory_names_its_class(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -70,7 +70,7 @@ def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys:
     assert result["setting"]["layout"] == {"plan": {"path": str(plans)}}
     assert result["plans"] == [f"{name}.json" for name in NAMES]
     assert result["buildings"] == 4
-    assert f"4 episodes in 3 buildings of `{plans}`, `laser.max_range_m 4.0`, `odometry.scale 3.0`" in page
+    assert f"4 episodes in 3 buildings: {plans}, laser.max_range_m 4.0, odometry.scale 3.0" in page
     assert {name: result["setting"][name] for name in ("difficulty", "split")} == {"difficulty": "", "split": ""}
 
 

@@ -180,7 +180,7 @@ def test_a_task_is_evaluated_with_known_correspondences_too(tmp_path: Path, caps
     line = "evaluate nearest --task ActiveCheapRobot-v0 --known --split validation --episodes 1 --max-steps 12 --out"
     assert cli.main([*line.split(), str(tmp_path)]) == 0
     said = capsys.readouterr().out
-    assert "split of `ActiveCheapRobot-v0`" in said
+    assert "1 buildings: ActiveCheapRobot-v0, split validation" in said
     assert "nearest, known correspondences" in said
     assert "The effect of known correspondences" in (tmp_path / "page.md").read_text()
     for words, guess in (("--task ActiveHall-v0", "ActiveHalls-v0"), ("--suite active-v2", "active-v1")):
