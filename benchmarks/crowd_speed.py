@@ -16,8 +16,8 @@ import numpy as np
 from benchmarks.common import Figures, estimate
 from benchmarks.drives import exploration
 from benchmarks.random_actions import RandomDriver, held
+from benchmarks.stopwatch import timed_stages
 from benchmarks.tables import table_of
-from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import GeneratorSpec, split_seed
 from mecp_env.world.generator import generate

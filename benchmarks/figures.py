@@ -25,8 +25,8 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.metrics import AssociationLog
 from mecp_env.floorplans.plan_view import floor_plan
-from mecp_env.render.figures import map_figure
 from mecp_env.render.plan_figures import plans_figure
+from mecp_env.render.screen import map_picture
 from mecp_env.render.shapes import SceneView
 from mecp_env.slam import Scan, SlamOutput, SlamPipeline
 from mecp_env.world.layout import load_layout
@@ -89,7 +89,7 @@ def pictures(options: Options) -> dict[str, Figure]:
         "fig5": paper_plots.hierarchy_figure(view_of(shown, shown.early)),
         "fig6": paper_plots.hierarchy_figure(final),
         "fig7": plans_figure([floor_plan(load_layout(LAYOUT))]),
-        "fig8": map_figure(final),
+        "fig8": paper_plots.whole(map_picture(final)),
     }
 
 

@@ -13,7 +13,7 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
 
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import shapes
 from mecp_env.render.palette import FREE, MARKERS, mix, room_colour, unit
@@ -22,9 +22,20 @@ from mecp_env.slam.messages import Corners, MapPolygon
 from mecp_env.slam.output import SlamOutput
 from mecp_env.slam.protocols import Filter
 
+PICTURE_DPI = 100
 GREEN, RED, BLUE = "#2e8b57", "#b2182b", "#2166ac"
 OFFSET_M = 0.5  # between the outer ends of a sparse stretch and its ellipse
 FRAMES = {"scan": "in one scan, robot frame", "map": "in the map, frame of the start"}
+
+
+def whole(picture: Bytes) -> Figure:
+    """A figure of a picture (height, width, 3) alone."""
+    height, width, _ = picture.shape
+    figure = Figure(figsize=(width / PICTURE_DPI, height / PICTURE_DPI), dpi=PICTURE_DPI)
+    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
+    axes.imshow(picture, aspect="auto")
+    axes.set_axis_off()
+    return figure
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -24,6 +24,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 from benchmarks import noise, worlds
 from benchmarks.common import Figures, Options, chosen, ratio, shared_data
@@ -37,7 +38,7 @@ from benchmarks.tables import columns_of, of_visits, sections, summary, table_of
 from benchmarks.variants import with_change
 from benchmarks.worlds import explored
 from mecp_env.floorplans import load_plan
-from mecp_env.render.figures import map_figure, save
+from mecp_env.render.screen import map_picture
 from mecp_env.world.outline import build_outline
 
 PLANS, EXPLORED, VIEW = "plans", "explored", "view_180_deg"
@@ -124,7 +125,7 @@ def explore(name: str, what: str, seed: int) -> Figures:
     visit, env = explored(layout, seed, most, **fields)
     if name == EXPLORED and seed == 0:
         MAPS.mkdir(parents=True, exist_ok=True)
-        save(map_figure(env.get_wrapper_attr("view")()), MAPS / f"{what}.png", dpi=80)
+        Image.fromarray(map_picture(env.get_wrapper_attr("view")())).save(MAPS / f"{what}.png")
     return visit.figures
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from benchmarks import karto
 from benchmarks.common import Figures, estimate, is_installed, shared_data
@@ -15,7 +16,7 @@ from mecp_env.evaluation.calibration import Calibration, calibrate_log
 from mecp_env.evaluation.log_run import LogRun, LogRunConfig, config_for, run_log
 from mecp_env.evaluation.trajectory import align
 from mecp_env.logs import Log, read_log
-from mecp_env.render.figures import map_figure, save
+from mecp_env.render.screen import map_picture
 from mecp_env.render.shapes import SceneView
 
 MAPS = Path("runs/real")  # pictures of each log, and of the first start in each plan
@@ -61,7 +62,7 @@ def map_log(name: str, seed: int, scans: int | None = None) -> Figures:
     run = run_log(log, run=options, calibration=calibration)
     if seed == 0:
         MAPS.mkdir(parents=True, exist_ok=True)
-        save(map_figure(view_of(run)), MAPS / f"{name}.png", dpi=80)
+        Image.fromarray(map_picture(view_of(run))).save(MAPS / f"{name}.png")
     return run.metrics() | (rival_of(run) if is_installed(karto.PACKAGE) else {})
 
 

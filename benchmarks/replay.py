@@ -28,7 +28,7 @@ def run(options: Options) -> Figures:
     if chromium() is None:
         raise OptionError("replay: no Chromium on this machine; Debian has it as the package `chromium`")
     explored = Run(MecpEnv(EnvConfig.build(layout="paper")), 0)
-    explored.explore(lambda _: None)
+    explored.explore()
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "replay.html"
         write_page(explored.replay(), page)

@@ -17,8 +17,8 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Figures, Options, chosen, estimate, grouped, in_parallel
+from benchmarks.stopwatch import timed_stages
 from benchmarks.tables import table
-from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.config import GeneratorSpec

@@ -19,8 +19,8 @@ from benchmarks.drives import exploration
 from benchmarks.in_tree import BEAMS, SWEEPS
 from benchmarks.polygon_speed import median_us
 from benchmarks.random_actions import RandomDriver, held
+from benchmarks.stopwatch import timed_stages
 from benchmarks.tables import sections, table, table_of
-from mecp_env.cli.stopwatch import timed_stages
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig

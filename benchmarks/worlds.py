@@ -20,6 +20,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from PIL import Image
+
 import mecp_env
 from benchmarks.common import Figures, Options, chosen, estimate, grouped, in_parallel, shared_data
 from benchmarks.drives import exploration
@@ -28,7 +30,7 @@ from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.policies.setting import words_of
 from mecp_env.registration import make
-from mecp_env.render.figures import map_figure, save
+from mecp_env.render.screen import map_picture
 from mecp_env.world.config import GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
 from mecp_env.world.schema import Layout
@@ -149,7 +151,7 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
     folder = KEPT / f"{layout.name}_{setting}_{seed}"
     folder.mkdir(parents=True, exist_ok=True)
     (folder / "layout.json").write_text(layout.to_json())
-    save(map_figure(env.get_wrapper_attr("view")()), folder / "map.png", dpi=80)
+    Image.fromarray(map_picture(env.get_wrapper_attr("view")())).save(folder / "map.png")
     again = f"mecp-env demo --layout {shlex.quote(str(folder / 'layout.json'))} --seed {seed} --config.start random"
     again += f"{flags(setting)} --config.max-steps {MAX_STEPS}"
     code = {"version": mecp_env.__version__, "commit": commit()}

@@ -31,10 +31,8 @@ INSIDE = {  # how often a file of the tests reads private names of others; may o
     "tests/conftest.py": 1,
     "tests/env/helpers.py": 2,
     "tests/env/test_goal_actions.py": 1,
-    "tests/floorplans/test_door_candidates.py": 3,
     "tests/policies/test_evaluate.py": 1,
     "tests/slam/panorama/test_registration.py": 1,
-    "tests/vector/test_failures.py": 4,
     "tests/world/rays.py": 1,
 }
 PUBLIC = ("_replace", "_asdict", "_fields")  # in spite of their names

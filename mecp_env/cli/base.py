@@ -14,7 +14,7 @@ import tempfile
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, redirect_stdout
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -92,6 +92,7 @@ class Command(ABC):
     """
 
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> those that have no meaning beside it
+    needs: ClassVar[Mapping[str, Sequence[str]]] = {}  # option -> those of which one gives it a meaning
 
     @classmethod
     def help(cls) -> tuple[str, list[str]]:
@@ -110,22 +111,21 @@ class Command(ABC):
         return None
 
     def check(self, line: Line) -> None:
-        """Refuse options of which one fixes what the other selects. Raises `ConfigError`."""
-        sections = line.sections
-        pairs = [(option, other) for option, others in self.fixes.items() for other in others]
-        for option, other in [pair for pair in pairs if sections.issuperset(pair)]:
-            raise ConfigError(f"{self._said(other)}: {self._said(option)} fixes it; leave out one of the two")
+        """Refuse options that another one fixes, or that mean nothing without another one. Raises `ConfigError`."""
+        given = line.sections
+        for option, others in self.fixes.items():
+            for other in [other for other in others if {option, other} <= given]:
+                raise ConfigError(f"{self._said(other)}: {self._said(option)} fixes it; leave out one of the two")
+        for option, others in self.needs.items():
+            if option in given and given.isdisjoint(others):
+                name, those = option.replace("_", "-"), " or ".join(f"--{other}" for other in others)
+                raise ConfigError(f"--{name}: has a meaning with {those} only; name one")
 
     def _said(self, name: str) -> str:
         """An option as it was given: `--task ActiveHalls-v0`."""
         value = getattr(self, name)
         shown = isinstance(value, str | int | Path) and not isinstance(value, bool)
         return f"--{name.replace('_', '-')}{f' {value}' if shown else ''}"
-
-    @property
-    def keeps_results(self) -> bool:
-        """True when files are the result: the run goes on when the reader of its output is gone (`demo | head`)."""
-        return True
 
     @abstractmethod
     def run(self, line: Line) -> int:
@@ -184,7 +184,7 @@ OutFolder = Annotated[Path, AfterValidator(lambda path: check_folder(path))]
 
 
 class UnbreakableStream:
-    """A stream that reports a closed pipe once on stderr, and then discards all output."""
+    """A stream that discards all output once its reader has closed the pipe."""
 
     def __init__(self, stream: Any) -> None:
         self._stream = stream
@@ -194,27 +194,28 @@ class UnbreakableStream:
 
     def write(self, text: str) -> int:
         """As of the stream."""
-        self._attempt(lambda: self._stream.write(text))
+        self._attempt(self._stream.write, text)
         return len(text)
 
     def flush(self) -> None:
         """As of the stream."""
         self._attempt(self._stream.flush)
 
-    def _attempt(self, operation: Callable[[], object]) -> None:
+    def _attempt(self, operation: Callable[..., object], *arguments: str) -> None:
         try:
-            operation()
-        except BrokenPipeError:
-            with suppress(OSError):  # stderr may be the same closed pipe
-                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())  # also for what is in its buffer
-                print_error("the output pipe is closed; the run continues without output")
+            operation(*arguments)
+        except BrokenPipeError:  # to nowhere, also what is in its buffer
+            os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
 
 
 @contextmanager
 def unbreakable_output() -> Iterator[None]:
-    """Within it standard output raises no `BrokenPipeError`."""
-    with redirect_stdout(UnbreakableStream(sys.stdout)):
-        yield
+    """Within it a command goes on, and keeps its files, when the reader of its output is gone (`demo | head -1`)."""
+    with redirect_stdout(UnbreakableStream(sys.stdout)) as stream:
+        try:
+            yield
+        finally:
+            stream.flush()
 
 
 FAILED, WRONG_INPUT = 1, 2  # beside 0 and INTERRUPTED
@@ -222,15 +223,10 @@ T = TypeVar("T")
 
 
 def run_command(command: Callable[[], int]) -> int:
-    """The exit code of `command`; 2 for wrong input or a file that cannot be read or written, 130 after Ctrl-C.
-
-    It is 0 when the reader of the output closed the pipe, as in `mecp-env explore nearest | head -1`.
-    """
+    """The exit code of `command`; 2 for wrong input or a file that cannot be read or written, 130 after Ctrl-C."""
     try:
-        return command()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+        with unbreakable_output():
+            return command()
     except (MecpError, gym.error.Error) as error:
         print_error(error)
         return WRONG_INPUT

@@ -11,15 +11,7 @@ import tyro
 from pydantic import Field
 
 from mecp_env.cli.base import INTERRUPTED, Command, Line, OutFolder, Seed, check_folder, check_writable, echo
-from mecp_env.cli.options import (
-    Fields,
-    KeepsMap,
-    ReadsPlans,
-    WithModules,
-    configuration,
-    spare_sources,
-    stem,
-)
+from mecp_env.cli.options import Fields, KeepsMap, ReadsPlans, WithModules, configuration, spare_sources, stem
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json
@@ -71,11 +63,11 @@ class Demo(KeepsMap, ReadsPlans):
         recording = self.recording(config.robot.period_s)
         env = MecpEnv(config, None if self.render == "none" else "human")
         run = Run(env, self.seed, Recorder(config.robot.period_s) if self.replay else None, recording)
-        watch = run.watched()
+        run.watched()
         self.end_recording(recording)
         if not run.estimated:
             return INTERRUPTED
-        metrics = run.keep_data(folder, watch)
+        metrics = run.keep_data(folder)
         code = self.keep_map(env)
         run.keep_pictures(folder)
         ended = "over, no goal left" if run.ended == "complete" else run.ended  # by the belief, not the truth
@@ -119,25 +111,15 @@ class OneScan(WithModules, ReadsPlans):
         return 0
 
 
-class _Reached(Exception):
-    """The step that is wanted has come."""
-
-
 def recognition(run: Run, step: int) -> SlamOutput:
     """The first scan of an exploration from `step` on in which a polygon of the map is recognised.
 
     Raises `ConfigError` when the exploration ends before.
     """
-
-    def stop(run: Run) -> None:
-        if run.steps >= step and run.env.slam_output.match.known >= 0:
-            raise _Reached
-
-    try:
-        run.explore(stop)
-    except _Reached:
-        return run.env.slam_output
-    raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")
+    run.explore(lambda run: run.steps >= step and run.env.slam_output.match.known >= 0)
+    if run.ended != "interrupted":
+        raise ConfigError(f"step: no polygon is recognised from {step} on; the exploration ends at {run.steps}")
+    return run.env.slam_output
 
 
 @dataclass(frozen=True)
@@ -158,21 +140,17 @@ class Replay(Command):
 
     def run(self, line: Line) -> int:
         """Write the page. Raises `ConfigError` and `ReplayError`."""
-        from mecp_env.render.replay_page import play_again, write_page
+        from mecp_env.render.replay_page import read_page, write_page
 
         page = self.run_folder / PAGE if self.run_folder.is_dir() else self.run_folder
         out = check_writable(self.out or page)
-        if page.exists():
-            count = play_again(page, out)
-        elif self.run_folder.is_dir():
-            played = explored_again(self.run_folder)
-            if not played:
-                return INTERRUPTED
-            write_page(played, out)
-            count = len(played["frames"])
-        else:
+        if not self.run_folder.exists():
             raise ConfigError(f"{self.run_folder}: there is no such file or folder; {REMEDY}")
-        echo(f"{count} frames: {out}")
+        played = read_page(page) if page.exists() else explored_again(self.run_folder)
+        if not played:
+            return INTERRUPTED
+        write_page(played, out)
+        echo(f"{len(played['frames'])} frames: {out}")
         if self.browser:
             webbrowser.open(out.absolute().as_uri())
         return 0

@@ -14,19 +14,8 @@ from typing import Annotated, Any, ClassVar
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import (
-    FAILED,
-    INTERRUPTED,
-    Command,
-    Line,
-    OutFolder,
-    Steps,
-    check_json,
-    check_word,
-    echo,
-    print_error,
-    tracked,
-)
+from mecp_env.cli import base
+from mecp_env.cli.base import INTERRUPTED, Line, OutFolder, Steps, check_word, echo, print_error
 from mecp_env.cli.options import (
     DifficultyName,
     EnvironmentFields,
@@ -38,35 +27,21 @@ from mecp_env.cli.options import (
     WithModules,
     named_fields,
 )
-from mecp_env.config import merge
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.files import exists, is_folder, write_atomic
+from mecp_env.core.files import exists, write_atomic
 from mecp_env.core.intervals import Figures
 from mecp_env.core.settings import guess
 from mecp_env.core.work_units import FailedUnit, KeptResults, Shard
+from mecp_env.policies import report, suites
 from mecp_env.policies.evaluation import Evaluation, Row, write_result
 from mecp_env.policies.registry import EXPLORERS, LEARNED, OURS, make_policy, policy_names, training_hours
-from mecp_env.policies.report import draw_curves, overview, page, write_film
 from mecp_env.policies.setting import Setting, plan_fields
-from mecp_env.policies.suites import (
-    METRICS,
-    SUITES,
-    Training,
-    check_name,
-    find_suite,
-    leaderboard,
-    read_submission,
-    reference_rows,
-    refuse_changes,
-    submission,
-)
-from mecp_env.world.config import CrowdConfig
 from mecp_env.world.layout import shipped_layouts
 
 QUICK = "active-quick-v1"
 MOST_MASKED = 0.1  # of the decisions of a policy, before it is told
 STEPS, TASK_STEPS = 3000, 1500  # of an episode
-READING = {name for part in fields(Reading) for name in (part.name, f"no_{part.name}")}
+READING = [name for part in fields(Reading) for name in (part.name, f"no_{part.name}")]
 
 
 @dataclass(frozen=True)
@@ -85,20 +60,21 @@ class Evaluate(WithModules, ReadsPlans):
         mecp-env evaluate my_module:MyPolicy --suite active-v1 --jobs 8
         mecp-env evaluate nearest gain --plans my-plans --episodes 30 --env.laser.max-range-m 8
         mecp-env evaluate gain stachniss --plans my-plans --task ActiveHalls-v0 --env.odometry.scale 2
-        mecp-env evaluate bfs nearest --layout office --crowd.people 5 --episodes 20
+        mecp-env evaluate bfs nearest --layout office --env.crowd.people 5 --episodes 20
         mecp-env evaluate bfs nearest --out runs/big --shard 1/4
     """
 
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {
         "suite": (
-            *("task", "plans", "layout", "env", "crowd", "difficulty", "split", "episodes"),
-            *("max_steps", "estimator", "record"),
+            *("task", "plans", "layout", "env", "difficulty", "split", "episodes", "max_steps", "estimator"),
+            "record",
         ),
         "plans": ("layout", "difficulty", "split"),
         "layout": ("difficulty", "split"),
         "task": ("difficulty",),
         "cluster": ("jobs",),
     }
+    needs: ClassVar[Mapping[str, Sequence[str]]] = dict.fromkeys(READING, ("plans", "layout"))
 
     policies: Annotated[tuple[str, ...], tyro.conf.Positional, tyro.conf.arg(metavar="POLICY ...")]
     split: SplitName = "test"  # of the buildings: train, validation or test
@@ -123,16 +99,7 @@ class Evaluate(WithModules, ReadsPlans):
     max_steps: Steps | None = None  # of an episode (control steps of 0.4 s); by default 3000, in a task 1500
     json: Path | None = None  # also write the result there, and the page beside it
     out: OutFolder = Path("runs/policies")  # folder for results.json, page.md, episodes.csv, curves.png, the film
-    crowd: CrowdConfig = field(default_factory=CrowdConfig)  # pedestrians: the same as --env.crowd
     env: EnvironmentFields = field(default_factory=EnvironmentFields)  # any field of the environment
-
-    def check(self, line: Line) -> None:
-        """Raise `ConfigError` for a way of reading plans without any, too."""
-        super().check(line)
-        named = line.sections
-        if named & READING and not named & {"plans", "layout"}:
-            name = min(named & READING).replace("_", "-")
-            raise ConfigError(f"--{name}: how a plan is read; name one with --plans or --layout")
 
     def run(self, line: Line) -> int:
         """Evaluate and write everything. 0; 1 when an episode failed, 130 after Ctrl-C with what was finished."""
@@ -143,65 +110,53 @@ class Evaluate(WithModules, ReadsPlans):
             echo(f"{len(evaluation.results)} episodes of shard {self.shard} are in {folder}")
         elif evaluation.results:
             self._write(evaluation, f"mecp-env evaluate {shlex.join(line)}")
-        return INTERRUPTED if evaluation.interrupted else FAILED if evaluation.failures else 0
+        return INTERRUPTED if evaluation.interrupted else base.FAILED if evaluation.failures else 0
 
     def _setting(self, line: Line) -> Setting:
         """The setting of the options. Raises `MecpError` for plans that are not there."""
         limit = self.max_steps or (TASK_STEPS if self.task else STEPS)
-        setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=self._changes(line))
+        changes = named_fields(self.env, line, "--env.")
+        setting = Setting(self.difficulty, self.split, self.estimator, limit, self.task, env=changes)
         if self.plans is None and not self.layout:
             return setting
-        if self.layout in shipped_layouts():
-            place: dict[str, Any] = {"layout": self.layout, "plans": 1, "content": self.layout}
-        else:
-            place = plan_fields(self._plan_path(), self.reading.options())
-        return replace(setting, difficulty="", split="", **place)
+        return replace(setting, difficulty="", split="", **self._place())
 
-    def _plan_path(self) -> Path:
-        """The folder or file of the plans. Raises `ConfigError` for a layout that is neither a name nor a file."""
-        if self.plans is not None:
-            return self.plans
-        if is_folder(self.layout):
-            raise ConfigError(f"layout: {self.layout} is a folder; --plans takes one")
-        if not exists(self.layout):
-            known = shipped_layouts()
+    def _place(self) -> dict[str, Any]:
+        """The fields of a setting for the plans, or the layout. Raises `MecpError` where there is none."""
+        known = shipped_layouts()
+        if self.layout in known:
+            return {"layout": self.layout, "plans": 1, "content": self.layout}
+        if self.plans is None and not exists(self.layout):
             raise ConfigError(
                 f"layout: {self.layout!r:.80}, expected a file, or one of {', '.join(known)}"
                 f"{guess(self.layout, known)}; --difficulty selects generated buildings"
             )
-        return Path(self.layout)
-
-    def _changes(self, line: Line) -> dict[str, Any]:
-        """The fields of the environment that the line names. Raises `ConfigError` for one that it names twice."""
-        changes, crowd = named_fields(self.env, line, "--env."), named_fields(self.crowd, line, "--crowd.")
-        for name in crowd.keys() & changes.get("crowd", {}).keys():
-            raise ConfigError(f"--crowd.{name}: {crowd[name]}, --env.crowd.{name} is the same field; give one of them")
-        return merge(changes, {"crowd": crowd}) if crowd else changes
+        return plan_fields(self.plans or Path(self.layout), self.reading.options())
 
     def _run_suite(self, line: Line) -> int:
         """Evaluate the policies in every setting of the suite, and write one file."""
         for name in self.policies:
-            check_name(name, "policies")
+            suites.check_name(name, "policies")
         done = self.suite_rows()
         if isinstance(done, int):
             return done
         if Shard.parse(self.shard).count > 1:
             echo(f"the episodes of shard {self.shard} are in {self.out}; the command without --shard writes the result")
             return 0
-        result = submission(self.suite, done, f"mecp-env evaluate {shlex.join(line)}")
+        result = suites.submission(self.suite, done, f"mecp-env evaluate {shlex.join(line)}")
         write_submission(result, self.json or self.out / f"{self.suite}.json")
         return 0
 
     def suite_rows(self) -> list[tuple[Setting, list[Row]]] | int:
         """The rows of every setting of the suite; an exit code where an episode failed, or after Ctrl-C."""
-        suite, done = find_suite(self.suite), []
+        suite, done = suites.find_suite(self.suite), []
         for setting in suite.settings:
             evaluation, _ = self._evaluated(setting, suite.episodes, setting.task or setting.difficulty)
             if evaluation.interrupted:
                 return INTERRUPTED
             if evaluation.failures:
                 print_error(f"{len(evaluation.failures)} episodes failed: no result; the same command repeats them")
-                return FAILED
+                return base.FAILED
             done.append((setting, evaluation.rows()))
             report_masked(evaluation)
         return done
@@ -222,7 +177,7 @@ class Evaluate(WithModules, ReadsPlans):
         check_word("reference", self.reference, dict.fromkeys((*self.policies, *EXPLORERS)))
         policies = [make_policy(name, self.trust) for name in self.policies]
         if self.suite:
-            refuse_changes(self.policies, policies)
+            suites.refuse_changes(self.policies, policies)
         if self.reference not in self.policies:
             print_error(f"{self.reference} is not among the policies, so nothing is compared to it")
         for name in evaluation.unrepeatable(policies):
@@ -232,7 +187,7 @@ class Evaluate(WithModules, ReadsPlans):
             )
         evaluation.check_buildings(policies)
         if self.json is not None:
-            check_json(self.json, "json")
+            base.check_json(self.json, "json")
 
     def _write(self, evaluation: Evaluation, command: str) -> None:
         """Write figures, page, episodes, curves and the film; print a short table."""
@@ -242,29 +197,29 @@ class Evaluate(WithModules, ReadsPlans):
             print_error("no building was finished by every policy: nothing to compare")
             return
         result = evaluation.figures(rows, command)
-        text = page(result)
+        text = report.page(result)
         write_result(result, text, self.out / "results.json", self.out / "page.md")
         evaluation.write_episodes(self.out / "episodes.csv")
         if self.json is not None:
             write_result(result, text, self.json, self.json.with_suffix(".md"))
         self._draw(result, evaluation)
-        echo(*overview(result), "", f"all tables: {self.out / 'page.md'}; written to {self.out}")
+        echo(*report.overview(result), "", f"all tables: {self.out / 'page.md'}; written to {self.out}")
 
     def _draw(self, result: Figures, evaluation: Evaluation) -> None:
         """Draw the curves, and the film."""
         where = f"{result['buildings']} buildings, {self.task or self.difficulty}, {self.split} split"
         if evaluation.setting.layout:
             where = f"{result['buildings']} episodes, {Path(evaluation.setting.place).name}"
-        draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
+        report.draw_curves(result["rows"], f"{where}; bands: 95 % intervals of the mean", self.out / "curves.png")
         if self.record:
             names = list(dict.fromkeys(self.policies))
-            write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
+            report.write_film(names, evaluation.setting, self.out / "side_by_side.gif", self.trust)
 
 
 def write_submission(result: dict[str, Any], path: Path) -> None:
     """Write the result of a suite, and print its table with the reference rows of the package."""
     write_atomic(path, (json.dumps(result, indent=1) + "\n").encode())
-    table = leaderboard({path.name: result}, references=reference_rows(result["suite"], result["hash"]))
+    table = suites.leaderboard({path.name: result}, references=suites.reference_rows(result["suite"], result["hash"]))
     echo(*table.split("\n"), f"written to {path}")
 
 
@@ -272,7 +227,7 @@ def collect(evaluation: Evaluation, kept: KeptResults, jobs: int, cluster: str) 
     """Run all episodes, with a progress bar; after Ctrl-C the finished ones are in `evaluation`."""
     with closing(evaluation.run(kept, jobs, cluster)) as results:
         try:
-            finished = tracked(results, len(evaluation.tasks()), "episodes")
+            finished = base.tracked(results, len(evaluation.tasks()), "episodes")
             for failure in (result for result in finished if isinstance(result, FailedUnit)):
                 print_error(f"failed: {failure}")
         except KeyboardInterrupt:
@@ -293,7 +248,7 @@ def report_masked(evaluation: Evaluation) -> None:
 
 
 @dataclass(frozen=True)
-class Leaderboard(Command):
+class Leaderboard(base.Command):
     """One table of results of `mecp-env submit` or `mecp-env evaluate --suite` and the package's reference rows, the
     best policy first. A file of another suite, of another version of it, or one that was changed, is refused.
 
@@ -308,25 +263,23 @@ class Leaderboard(Command):
     suite: str = ""  # by default that of the files, without files active-quick-v1
     references: bool = True  # with the reference rows of the package
 
-    keeps_results = False
-
     def run(self, line: Line) -> int:
         """Print the table."""
-        check_word("metric", self.metric, METRICS)
-        found = {str(path): read_submission(path) for path in self.files}
+        check_word("metric", self.metric, suites.METRICS)
+        found = {str(path): suites.read_submission(path) for path in self.files}
         suite = self._suite([content["suite"] for content in found.values()])
-        rows = reference_rows(suite, SUITES[suite].frozen) if self.references else []
+        rows = suites.reference_rows(suite, suites.SUITES[suite].frozen) if self.references else []
         if not found and not rows:
             raise ConfigError(f"files: expected at least one result; the package has no reference rows of {suite}")
-        echo(f"{suite}, {self.metric}", "", *leaderboard(found, self.metric, rows).split("\n"))
+        echo(f"{suite}, {self.metric}", "", *suites.leaderboard(found, self.metric, rows).split("\n"))
         return 0
 
     def _suite(self, named: Sequence[str]) -> str:
         """The suite of the files and of the option. Raises `ConfigError` for several, and for an unknown one."""
-        suites = sorted({*named, *([self.suite] if self.suite else [])}) or [QUICK]
-        if len(suites) > 1:
-            raise ConfigError(f"files: of several suites ({', '.join(suites)}); one table shows one")
-        return check_word("suite", suites[0], SUITES)
+        name, *others = sorted({*named, *filter(None, [self.suite])}) or [QUICK]
+        if others:
+            raise ConfigError(f"files: of several suites ({', '.join([name, *others])}); one table shows one")
+        return check_word("suite", name, suites.SUITES)
 
 
 @dataclass(frozen=True)
@@ -359,21 +312,21 @@ class Submit(WithModules):
     def run(self, line: Line) -> int:
         """Run all episodes and write the file. 0; 1 when an episode failed, 130 after Ctrl-C."""
         suite, name = QUICK if self.quick else self.suite, self._name()
-        path = check_json(self.out or Path("runs") / f"{re.sub('[/:]', '-', f'{name}-{suite}')}.json", "out")
+        path = base.check_json(self.out or Path("runs") / f"{re.sub('[/:]', '-', f'{name}-{suite}')}.json", "out")
         options = {"truth": False, "reference": self.policy, "trust": self.trust, "jobs": self.jobs}
         done = Evaluate((self.policy,), suite=suite, out=path.with_suffix(""), **options).suite_rows()  # type: ignore[arg-type]
         if isinstance(done, int):
             return done
         named = [(setting, [replace(row, policy=name) for row in rows]) for setting, rows in done]
-        training = Training(training_hours(self.policy) if self.hours is None else self.hours, self.seeds)
-        write_submission(submission(suite, named, f"mecp-env submit {shlex.join(line)}", training), path)
+        training = suites.Training(training_hours(self.policy) if self.hours is None else self.hours, self.seeds)
+        write_submission(suites.submission(suite, named, f"mecp-env submit {shlex.join(line)}", training), path)
         return 0
 
     def _name(self) -> str:
         """The name of the row. Raises `ConfigError` for one that forges a row, or is that of another policy."""
         path = Path(self.policy)
         default = (path.stem if path.is_file() else path.name) if path.exists() else self.policy
-        name = check_name(self.name or default)
+        name = suites.check_name(self.name or default)
         if name in (*OURS, *LEARNED) and name != self.policy:
             raise ConfigError(f"name: {name!r} is the name of a policy of this package; choose another with --name")
         return name

@@ -38,6 +38,7 @@ class Explore(KeepsMap, ReadsPlans):
     """
 
     fixes: ClassVar[Mapping[str, Sequence[str]]] = {"layout": ("difficulty", "task"), "task": ("difficulty",)}
+    needs: ClassVar[Mapping[str, Sequence[str]]] = {"split": ("difficulty", "task")}
 
     policy: Annotated[str, tyro.conf.Positional]
     # a shipped name, DIFFICULTY:SEED, DIFFICULTY:SPLIT:NUMBER, TASK:SPLIT:NUMBER, or the path of a plan
@@ -53,17 +54,6 @@ class Explore(KeepsMap, ReadsPlans):
     start: Literal["layout", "random"] | None = None
     replay: Path | None = None  # folder for the page that plays the episode
     trust: bool = False  # load a model file of Stable-Baselines3 (.zip), which may run arbitrary code
-
-    def check(self, line: Line) -> None:
-        """Raise `ConfigError` for a split of no buildings, too."""
-        super().check(line)
-        named = line.sections
-        if "split" in named and not {"difficulty", "task"} & named:
-            raise ConfigError(f"--split {self.split}: of the buildings of --difficulty or --task; name one")
-
-    @property
-    def keeps_results(self) -> bool:
-        return any(path is not None for path in (self.replay, self.rerun, self.save_map))
 
     def run(self, line: Line) -> int:
         """Run the episode; one line per drive, then the metrics."""
@@ -115,13 +105,13 @@ class Explore(KeepsMap, ReadsPlans):
 
     def _generated(self, difficulty: str, split: str, number: str) -> tuple[dict[str, Any], dict[str, int] | None]:
         """As `_building`, of a generated building."""
-        known = [(difficulty, (*DIFFICULTIES, *TASKS)), (split, SPLITS)]
-        wrong = [guess(word, words) for word, words in known if word not in words]
+        known = {difficulty: (*DIFFICULTIES, *TASKS), split: SPLITS}
+        wrong = [guess(word, words) for word, words in known.items() if word not in words]
         if wrong or not number.isdecimal():
             raise ConfigError(f"layout: {self.layout!r:.80}, {EXPECTED}{''.join(wrong[:1])}")
         rooms = {"id": "mecp_env/Rooms-v0", "difficulty": difficulty}
-        buildings = {"id": f"mecp_env/{difficulty}"} if difficulty in TASKS else rooms
-        return buildings | {"split": split}, {"building": int(number)}
+        made = {"id": f"mecp_env/{difficulty}"} if difficulty in TASKS else rooms
+        return made | {"split": split}, {"building": int(number)}
 
 
 def drive_line(goals: Mapping[int, Any], row: int, info: Mapping[str, Any]) -> str:

@@ -2,30 +2,19 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib
 import re
 import sys
 import textwrap
-from contextlib import nullcontext
 from typing import Any
 
 from pydantic import TypeAdapter, ValidationError
 
 import mecp_env
-from mecp_env.cli.base import (
-    WRONG_INPUT,
-    Command,
-    Line,
-    at_end,
-    print_error,
-    replace_unprintable,
-    run_command,
-    unbreakable_output,
-)
+from mecp_env.cli.base import WRONG_INPUT, Command, Line, at_end, print_error, replace_unprintable, run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import import_modules
-from mecp_env.core.settings import Settings, describe
+from mecp_env.core.settings import Settings, describe, guess
 
 ABOUT = "Active SLAM indoors: EKF-SLAM with Maximum Empty Convex Polygons."
 COMMANDS = {  # words -> module below mecp_env.cli, class, what the overview says
@@ -59,13 +48,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Run a command; exit code 0, 2 for wrong input (also from the parser itself), 130 after Ctrl-C."""
     replace_unprintable()
     words, line = split(sys.argv[1:] if arguments is None else arguments)
-    return at_end(run_command(lambda: run(parse(words, line), line)))
-
-
-def run(command: Command, line: Line) -> int:
-    """The exit code of a command; what writes files does not end with the pipe that it prints to."""
-    with unbreakable_output() if command.keeps_results else nullcontext():
-        return command.run(line)
+    return at_end(run_command(lambda: parse(words, line).run(line)))
 
 
 def split(line: list[str]) -> tuple[str, Line]:
@@ -91,10 +74,8 @@ def answer(group: str, word: str) -> int:
 
 def refuse(words: str, group: str) -> int:
     """Print that `words` are not a command, with a suggestion and the known commands; the exit code."""
-    nearest = difflib.get_close_matches(words, COMMANDS, n=1)
-    guess = f"; did you mean `mecp-env {nearest[0]}`?" if nearest else ""
     print(overview(group) + "\n", file=sys.stderr)
-    print_error(f"unknown command {words!r}{guess}" if words else "a command is missing")
+    print_error(f"unknown command {words!r}{guess(words, COMMANDS)}" if words else "a command is missing")
     return WRONG_INPUT
 
 

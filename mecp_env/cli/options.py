@@ -192,10 +192,7 @@ class KeepsMap(WithModules):
 
         if self.rerun.suffix != ".rrd":
             raise ConfigError(f"--rerun: {self.rerun}: expected a file name that ends in .rrd")
-        try:
-            return RerunLog(check_writable(self.rerun, "--rerun"), period_s)
-        except (ConfigError, OSError) as error:
-            raise ConfigError(f"{'' if '--rerun' in str(error) else '--rerun: '}{error}") from None
+        return RerunLog(check_writable(self.rerun, "--rerun"), period_s)
 
     def end_recording(self, log: RerunLog | None) -> None:
         """End the file, and print where it is."""
@@ -218,8 +215,7 @@ class Reading:
 
     def options(self) -> dict[str, Any]:
         """The options of `load_plan` that are given."""
-        given = {name: value for name, value in asdict(self).items() if value is not None}
-        return given if not self.straighten else {name: given[name] for name in given if name != "straighten"}
+        return {name: value for name, value in asdict(self).items() if value is not None and value is not True}
 
     def expand(self, word: str) -> list[str]:
         """The single buildings that a word stands for: `medium:0-2` is three, a folder the plans in it and below.

@@ -23,23 +23,16 @@ from mecp_env.env import MecpEnv
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.screen import Screen
 from mecp_env.render.shapes import summary
-from mecp_env.render.window import KeyHelp, Window, key_strip, require_display
+from mecp_env.render.window import Window, key_strip, require_display
 
 FORWARD, BACK = {pygame.K_UP, pygame.K_w}, {pygame.K_DOWN, pygame.K_s}
 LEFT, RIGHT = {pygame.K_LEFT, pygame.K_a}, {pygame.K_RIGHT, pygame.K_d}
 SLOW, WAIT = {pygame.K_LSHIFT, pygame.K_RSHIFT}, {pygame.K_SPACE}
 STEPPING = FORWARD | BACK | LEFT | RIGHT | WAIT
 QUIT = {pygame.K_ESCAPE, pygame.K_q}
-KEYS: tuple[KeyHelp, ...] = (
-    (("up", "down", "left", "right"), "or"),
-    (("W", "A", "S", "D"), "drive"),
-    (("Shift",), "slowly"),
-    (("Space",), "wait and scan"),
-    (("H",), "hide the world"),
-    (("P",), "keep a picture"),
-    (("R",), "again"),
-    (("N",), "next"),
-    (("Esc",), "quit"),
+KEYS = (
+    "arrows or W A S D: drive    Shift: slowly    Space: wait and scan    H: hide the world    P: keep a picture    "
+    "R: again    N: next    Esc: quit"
 )
 TURN, SLOWLY = 0.5, 0.35  # shares of the largest turn rate, and of both when slow
 AT_REST_M = 1e-3  # the robot has stopped when it moved, or turned (rad), less than this in a step
@@ -83,7 +76,6 @@ class Play(WithModules, ReadsPlans):
 
         building(words[0])  # before the window: it may be refused
         require_display()
-
         game, window = Game(make, self.out, self.replay), Window("mecp_env: play")
         try:
             loop(game, window, self.rate)

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Mapping
+import statistics
+import time
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
+from PIL import Image
 from rich.console import Console
 from rich.progress import BarColumn, TimeElapsedColumn
 from rich.table import Table
 
 from mecp_env.cli.base import echo
-from mecp_env.cli.stopwatch import Stopwatch, timed_stages
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.files import naming, sanitised, write_atomic
 from mecp_env.core.se2 import between, compose, composed, inverse
@@ -26,12 +27,12 @@ from mecp_env.evaluation.trajectory import align, tum
 from mecp_env.floorplans.exporters import save_map_server, save_svg
 from mecp_env.logs import Log
 from mecp_env.planning.breadth_first import BreadthFirst
-from mecp_env.render.figures import Moment, curves_figure, map_figure, moment_of, save
+from mecp_env.render.figures import Moment, curves_figure, moment_of, save
 from mecp_env.render.progress import Bar
 from mecp_env.render.replay import Recorder, write_page
 from mecp_env.render.rerun_log import RerunLog
-from mecp_env.render.screen import Film, Screen, ScreenConfig, thumbnail
-from mecp_env.render.shapes import SceneView, summary
+from mecp_env.render.screen import Film, Screen, map_picture, thumbnail
+from mecp_env.render.shapes import SceneView, filled, summary
 from mecp_env.slam.output import SlamOutput
 from mecp_env.wrappers import GoalActions, Step
 
@@ -85,22 +86,14 @@ ROWS = (  # shown name, format; left out where a metric is missing
 def print_figures(title: str, metrics: Mapping[str, Any], folder: Path) -> None:
     """Print the figures of a run, what was skipped or repaired in its log, and where its files are."""
     table = Table(title=sanitised(title), show_header=False, title_justify="left")
-    for name, form in ROWS:
-        for value in _filled([form], metrics):
-            table.add_row(name, value)
+    for row in filled(ROWS, metrics):
+        table.add_row(*row)
     Console().print(table)
     counts = [f"counted: {count} {what}" for what, count in metrics.get("counts", {}).items()]
     there = [name for name in dict.fromkeys((*FILES, *LOG_FILES)) if (folder / name).exists()]
     notes = [f"note: {note}" for note in metrics.get("notes", ())]
     for said in (*counts, *notes, f"{', '.join(there)} in {folder}/"):
         Console().print(sanitised(said), markup=False)
-
-
-def _filled(forms: Iterable[str], metrics: Mapping[str, Any]) -> Iterator[str]:
-    """Those of the formats whose metrics there are."""
-    for form in forms:
-        with suppress(KeyError):
-            yield form.format(**metrics)
 
 
 def _keep_data(folder: Path, metrics: Mapping[str, Any], recipe: Mapping[str, Any], paths: Mapping[str, Any]) -> None:
@@ -112,16 +105,23 @@ def _keep_data(folder: Path, metrics: Mapping[str, Any], recipe: Mapping[str, An
         write_atomic(folder / name, tum(times, poses).encode())
 
 
-def _keep_pictures(folder: Path, output: SlamOutput, figures: Mapping[str, Callable[[], Figure]], film: Film) -> None:
+def _keep_pictures(folder: Path, output: SlamOutput, view: SceneView, film: Film) -> None:
     with naming(folder / "belief.pgm"):
         save_map_server(output.grid, folder / "belief")
     with naming(folder / "belief.svg"):
         save_svg(output.grid, folder / "belief.svg")
-    for name, figure in figures.items():
-        with naming(folder / name):
-            save(figure(), folder / name)
+    _keep_map(folder / "map.png", view)
     with naming(folder / "run.gif"):
         film.save(folder / "run.gif")
+
+
+def _keep_map(path: Path, view: SceneView) -> None:
+    with naming(path):
+        Image.fromarray(map_picture(view)).save(path)
+
+
+class Enough(Exception):
+    """An exploration need not go on."""
 
 
 @dataclass
@@ -137,6 +137,7 @@ class Run:
     estimated: list[Array] = field(default_factory=list)  # (3,) T_map_robot as believed, one a step
     true: list[Array] = field(default_factory=list)  # (3,) T_map_robot in truth
     moments: list[Moment] = field(default_factory=list)  # what the curves show
+    seconds: list[float] = field(default_factory=list)  # processor time of each step
     ended: str = "interrupted"
     view: SceneView = field(init=False)  # of the last step
 
@@ -144,22 +145,33 @@ class Run:
     def steps(self) -> int:
         return max(len(self.estimated) - 1, 0)
 
-    def explore(self, after_step: Callable[[Run], None]) -> None:
-        """Explore to the end; `after_step` is called after every control step, and once before the first."""
+    @property
+    def steps_per_s(self) -> float:
+        """By the median step: some load functions first, or search a way."""
+        return 1.0 / statistics.median(self.seconds) if self.seconds else 0.0
+
+    def explore(self, enough: Callable[[Run], object] = lambda _: False) -> None:
+        """Explore to the end, or until it is `enough`, as it is asked after every step and once before the first."""
+
+        begun = 0.0
 
         def look(step: Step | None = None) -> None:
+            nonlocal begun
+            self.seconds += [time.thread_time() - begun] if step else []
             self.look(step[4] if step else None)
-            after_step(self)
+            if enough(self):
+                raise Enough
+            begun = time.thread_time()
 
         policy, goals = BreadthFirst(), GoalActions(self.env, callback=look)
         observation, _ = goals.reset(seed=self.seed)
-        policy.reset()
-        look()
         terminated = truncated = False
-        while not (terminated or truncated):
-            action = policy.act(observation, goals.action_masks())
-            observation, _, terminated, truncated, info = goals.step(action)
-        self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
+        with suppress(Enough):
+            look()
+            while not (terminated or truncated):
+                action = policy.act(observation, goals.action_masks())
+                observation, _, terminated, truncated, info = goals.step(action)
+            self.ended = "complete" if terminated else "diverged" if info["diverged"] else "out of steps"
 
     def look(self, info: dict[str, Any] | None = None) -> None:
         """Keep what belongs to the present step."""
@@ -172,22 +184,23 @@ class Run:
                 record.look(view, info)
         self.film.offer(self.steps, lambda: self.picture(view))
 
-    def watched(self) -> Stopwatch:
-        """Explore with a bar, until the end or Ctrl-C; the times of the stages."""
+    def watched(self) -> None:
+        """Explore with a bar, until the end or Ctrl-C."""
         layout = self.env.config.layout  # a shipped name, or a whole layout
         echo(f"exploring {layout if isinstance(layout, str) else layout['name']}")
-        with timed_stages() as watch, Bar(1.0, *SHARE) as bar, suppress(KeyboardInterrupt):
-            self.explore(lambda run: run.show(bar, watch.steps_per_s))
-        return watch
+        with Bar(1.0, *SHARE) as bar, suppress(KeyboardInterrupt):
+            self.explore(lambda run: run.show(bar))
 
-    def show(self, bar: Bar, steps_per_s: float) -> None:
+    def show(self, bar: Bar) -> None:
         """Show the share of the building that has been seen, and what has been found, in at most 65 characters."""
-        found = FOUND.format(**self.view.metrics, error_cm=100.0 * self.view.metrics["pose_error_m"], speed=steps_per_s)
-        bar.show(self.view.metrics["coverage"], found, found)
+        metrics = self.view.metrics
+        found = FOUND.format(**metrics, error_cm=100.0 * metrics["pose_error_m"], speed=self.steps_per_s)
+        bar.show(metrics["coverage"], found, found)
 
-    def keep_data(self, folder: Path, watch: Stopwatch) -> dict[str, Any]:
+    def keep_data(self, folder: Path) -> dict[str, Any]:
         """Write metrics, configuration and paths into `folder`; returns the metrics."""
-        metrics, period_s = self.metrics(watch), self.env.config.robot.period_s
+        period_s = self.env.config.robot.period_s
+        metrics = {"ended": self.ended, **self.env.summary(), "steps_per_s": round(self.steps_per_s, 1)}
         recipe = {"seed": self.seed, "policy": "breadth_first", "config": self.env.config.to_dict()}
         times = [step * period_s for step in range(len(self.estimated))]
         paths = {"trajectory.tum": (times, self.estimated), "truth.tum": (times, self.true)}
@@ -197,18 +210,17 @@ class Run:
     def keep_pictures(self, folder: Path) -> None:
         """Write the other `FILES` into `folder`."""
         self.film.add(self.picture(self.view))  # the last step, whether its turn has come or not
-        figures = {
-            "map.png": lambda: map_figure(self.view),
-            "curves.png": lambda: curves_figure(self.title, self.env.config.robot.period_s, self.moments),
-        }
-        _keep_pictures(folder, self.view.slam_output, figures, self.film)
+        _keep_pictures(folder, self.view.slam_output, self.view, self.film)
+        curves = curves_figure(self.title, self.env.config.robot.period_s, self.moments)
+        with naming(folder / "curves.png"):
+            save(curves, folder / "curves.png")
         (folder / "replay.html").unlink(missing_ok=True)  # of an earlier run
         if self.recorder is not None:
             write_page(self.replay(), folder / "replay.html")
 
     def picture(self, view: SceneView) -> Bytes:
         """A frame of the film, whose size fits the building."""
-        self.screen = self.screen or Screen(ScreenConfig.around(view.bounds, FILM_WIDTH))
+        self.screen = self.screen or Screen.around(view.bounds, FILM_WIDTH)
         return self.screen.frame(view)
 
     def replay(self) -> dict[str, Any]:
@@ -221,12 +233,6 @@ class Run:
     def title(self) -> str:
         """The building, the estimator and the seed."""
         return f"{self.view.title.partition(', step')[0]}, seed {self.seed}"
-
-    def metrics(self, watch: Stopwatch) -> dict[str, Any]:
-        """The figures of the run so far, measured on the truth, and its times."""
-        times = {name: round(value, 1) for name, value in watch.microseconds().items()}
-        speed = {"steps_per_s": round(watch.steps_per_s, 1), "us_per_period": times}
-        return {"ended": self.ended, **self.env.summary(), **speed}
 
 
 class LogFiles:
@@ -273,7 +279,7 @@ class LogFiles:
         _keep_data(folder, metrics, recipe, paths)
         view = _view(run.output, run.T_map_robot[run.scored, :2], reference[:, :2], _caption(self.log.name, metrics))
         self.film.add(self._frame(run.output))
-        _keep_pictures(folder, run.output, {"map.png": lambda: map_figure(view)}, self.film)
+        _keep_pictures(folder, run.output, view, self.film)
         write_page(self.recorder.run(self.log.name, _caption(run.ended, metrics)), folder / "replay.html")
         _keep_final(folder, run, self.log.name, metrics)
         return metrics
@@ -286,8 +292,7 @@ def _keep_final(folder: Path, run: LogRun, name: str, metrics: Mapping[str, Any]
     errors = {key.removeprefix(FINAL): value for key, value in metrics.items() if key.startswith(FINAL)}
     reference = _reference(replace(run, T_map_robot=run.T_final_robot))
     view = _view(output, path, reference[:, :2], _caption(f"{name}, final trajectory", {**metrics, **errors}))
-    with naming(folder / "map_final.png"):
-        save(map_figure(view), folder / "map_final.png")
+    _keep_map(folder / "map_final.png", view)
 
 
 def _reference(run: LogRun) -> Array:
@@ -315,8 +320,8 @@ def _view(output: SlamOutput, path: Array, reference: Array, title: str) -> Scen
 def _caption(name: str, metrics: Mapping[str, Any]) -> str:
     """What the figure says of a run: as far as there are a reference and relations."""
     parts = (
-        "{landmarks} landmarks, {rooms} rooms, {doors} doors",
-        "trajectory error {ate_m:.2f} m",
-        "relations {relations_m:.3f} m, {relations_deg:.2f} deg",
+        ("", "{landmarks} landmarks, {rooms} rooms, {doors} doors"),
+        ("", "trajectory error {ate_m:.2f} m"),
+        ("", "relations {relations_m:.3f} m, {relations_deg:.2f} deg"),
     )
-    return "    ".join([name, *_filled(parts, metrics)])
+    return "    ".join([name, *(said for _, said in filled(parts, metrics))])

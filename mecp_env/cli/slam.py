@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import (
-    FAILED,
-    INTERRUPTED,
-    Command,
-    Line,
-    Seed,
-    check_folder,
-    check_writable,
-    echo,
-    print_error,
-)
+from mecp_env.cli.base import FAILED, INTERRUPTED, Command, Line, Seed, check_folder, check_writable, echo, print_error
 from mecp_env.cli.options import KeepsMap, named_fields, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
@@ -95,16 +86,16 @@ class Slam(KeepsMap):
         """Map the log with a progress bar; after Ctrl-C, or where the estimator fails, keep what there is."""
         from mecp_env.cli.runs import LOG_FILES, LogFiles, print_figures  # here, so that help and errors come at once
         from mecp_env.core.warm_up import prepare
-        from mecp_env.evaluation.log_run import REGISTERED, LogDrive, LogRunConfig
+        from mecp_env.evaluation.log_run import REGISTERED, LogDrive
         from mecp_env.render.progress import Bar
 
         folder = check_folder(self.out or Path("runs") / f"slam-{self.log.stem}")
         spare_sources([folder / name for name in LOG_FILES], [str(path) for path in (self.log, self.from_map) if path])
         self.check_map(str(self.log), "slam")
-        log, fault = self._checked(self._read())
-        pipeline, calibration = self._estimator(log, fault, line)
-        keys = "odometry", "seed", "rest_m", "rest_deg"
-        options = LogRunConfig(noise=self._noise(line), **{key: getattr(self, key) for key in keys})
+        log, fault = self._read()
+        fields, noise = named_fields(self.config, line, "--config."), named_fields(self.noise, line, "--noise.")
+        pipeline, calibration = self._estimator(log, fields, partial(self._calibration, log, noise, fault))
+        options = self._options(noise)
         drive = LogDrive(log, pipeline, options, calibration)
         log = drive.log
         echo(*[f"note: {REGISTERED}"] * (REGISTERED in log.notes))
@@ -126,6 +117,13 @@ class Slam(KeepsMap):
         print_figures(f"log {run.ended}", metrics, folder)
         return max(self._ended(run, options, fault), code)
 
+    def _options(self, noise: dict[str, Any]) -> LogRunConfig:
+        from mecp_env.evaluation.log_run import LogRunConfig
+
+        of_path = OdometryConfig(**{key: noise[key] for key in OdometryConfig.model_fields if key in noise})
+        keys = "odometry", "seed", "rest_m", "rest_deg"
+        return LogRunConfig(noise=of_path, **{key: getattr(self, key) for key in keys})
+
     def _ended(self, run: LogRun, options: LogRunConfig, of_laser: str | None) -> int:
         """The exit code, with the reason where the result is of no use, and what is wrong with the laser."""
         from mecp_env.evaluation.log_run import fault_of
@@ -136,31 +134,26 @@ class Slam(KeepsMap):
             return FAILED
         return {"interrupted": INTERRUPTED, "complete": 0}.get(run.ended, FAILED)
 
-    @property
-    def _is_measured(self) -> bool:
-        """True when the odometry is that of the log, which may be calibrated and may contradict the laser."""
-        return self.odometry == "log"
+    def _read(self) -> tuple[Log, str | None]:
+        """The log, by the options for its format, and what is wrong with its laser; notes are printed.
 
-    def _checked(self, log: Log) -> tuple[Log, str | None]:
-        """The log, with a note where its laser and its odometry disagree, and what is wrong with the laser."""
-        from mecp_env.logs.laser_check import laser_fault
-
-        fault = laser_fault(log, self.noise.distance_scale) if self._is_measured else None
-        said = () if fault is None else (f"warning: {fault}",)
-        echo(*said)
-        return replace(log, notes=(*log.notes, *said)), fault
-
-    def _read(self) -> Log:
-        """The log, by the options for its format; what is to be known of it is printed. Raises `LogError`."""
+        Raises `LogError`.
+        """
         from mecp_env.logs import ReadOptions, read_log
+        from mecp_env.logs.laser_check import laser_fault
 
         given = {name: value for name, value in vars(self).items() if name in ReadOptions.model_fields}
         given |= {"scan_topic": self.scan_topic or None, "use_odometry": self.odometry != "none"}
         log = read_log(self.log, ReadOptions(**given))
         echo(*(f"note: {note}" for note in log.notes))
-        return log
+        fault = laser_fault(log, self.noise.distance_scale) if self.odometry == "log" else None
+        said = () if fault is None else (f"warning: {fault}",)
+        echo(*said)
+        return replace(log, notes=(*log.notes, *said)), fault
 
-    def _estimator(self, log: Log, fault: str | None, line: Line) -> tuple[SlamPipeline, Calibration | None]:
+    def _estimator(
+        self, log: Log, fields: dict[str, Any], calibrate: Callable[[SlamConfig, dict[str, Any]], Calibration | None]
+    ) -> tuple[SlamPipeline, Calibration | None]:
         """A new estimator for the log's laser, or one in a saved map, and the calibration of the odometry, if any.
 
         Raises `ConfigError` and `MapError`.
@@ -168,20 +161,18 @@ class Slam(KeepsMap):
         from mecp_env.evaluation.log_run import config_for
         from mecp_env.slam import SlamPipeline
 
-        fields = named_fields(self.config, line, "--config.")
         if self.from_map is None:
             if self.start != "saved":
                 raise ConfigError(f"--start: {self.start} is a place in a map; name one by --from-map")
-            calibration = self._calibration(log, config_for(log, fields), fields.get("sensor", {}), fault, line)
+            calibration = calibrate(config_for(log, fields), fields.get("sensor", {}))
             return SlamPipeline(config_for(log, fields, calibration)), calibration
         if fields:
             raise ConfigError(f"--config: {', '.join(fields)} given, but a map has its own configuration (--from-map)")
         pipeline = SlamPipeline.from_map(self.from_map, self._start())
-        sensor = pipeline.config.sensor.model_dump()
-        return pipeline, self._calibration(log, pipeline.config, sensor, fault, line)
+        return pipeline, calibrate(pipeline.config, pipeline.config.sensor.model_dump())
 
     def _calibration(
-        self, log: Log, config: SlamConfig, sensor: Mapping[str, Any], fault: str | None, line: Line
+        self, log: Log, noise: dict[str, Any], fault: str | None, config: SlamConfig, sensor: dict[str, Any]
     ) -> Calibration | None:
         """That of the log's odometry and laser; None where it is not asked for, or where there is no odometry.
 
@@ -189,8 +180,7 @@ class Slam(KeepsMap):
         """
         from mecp_env.evaluation.calibration import CORRECTIONS, OF_SENSOR, calibrate_log
 
-        noise = named_fields(self.noise, line, "--noise.")
-        if self.noise_from == "auto" and self._is_measured and log.T_odom_robot is not None:
+        if self.noise_from == "auto" and self.odometry == "log" and log.T_odom_robot is not None:
             given = {name: float(sensor[name]) for name in OF_SENSOR if name in sensor}
             return calibrate_log(log, config, given, noise, fault)
         useless = [name for name in CORRECTIONS if name in noise]
@@ -209,28 +199,12 @@ class Slam(KeepsMap):
             raise ConfigError(f"--start: {self.start!r:.60}, {POSE}") from None
         return (x, y, heading)
 
-    def _noise(self, line: Line) -> OdometryConfig:
-        named = named_fields(self.noise, line, "--noise.")
-        return OdometryConfig(**{name: value for name, value in named.items() if name in OdometryConfig.model_fields})
-
     def _recipe(self, run: LogRun, options: Any) -> dict[str, Any]:
         """What another run needs to give the same."""
         start = {"from_map": str(self.from_map), "start": self.start} if self.from_map is not None else {}
         found = {} if run.calibration is None else {"odometry": run.calibration.odometry.model_dump()}
         config = run.pipeline.config.model_dump()
         return {"log": str(self.log), **start, "run": options.model_dump(), **found, "config": config}
-
-
-UNITS = {  # of the fields of a calibration; the others have none
-    "turn_bias_deg_per_m": "deg per m",
-    "x_m": "m",
-    "heading_deg": "deg",
-    "distance_sigma_m": "m per sqrt(m)",
-    "distance_sigma_turning_m": "m per sqrt(rad)",
-    "turn_sigma_deg": "deg per sqrt(m)",
-    "turn_sigma_turning_deg": "deg per sqrt(rad)",
-    "range_sigma_m": "m",
-}
 
 
 def print_calibration(calibration: Calibration | None) -> None:
@@ -242,12 +216,12 @@ def print_calibration(calibration: Calibration | None) -> None:
 
     title = f"calibration by {calibration.registered} of {calibration.tried} motions between scans"
     value, sigma = (Column(name, justify="right") for name in ("value", "sigma"))
-    table = Table("field", value, sigma, "unit", "source", title=title, title_justify="left")
+    table = Table("field", value, sigma, "source", title=title, title_justify="left")
     for name, estimate in calibration.estimates.items():
         spread = "" if estimate.sigma is None else f"{estimate.sigma:.4f}"
-        table.add_row(name, f"{estimate.value:.4f}", spread, UNITS.get(name, ""), estimate.source)
+        table.add_row(name, f"{estimate.value:.4f}", spread, estimate.source)
     if calibration.range_noise_m is not None:
-        table.add_row("range noise on straight walls", f"{calibration.range_noise_m:.4f}", "", "m", "measured")
+        table.add_row("range noise on straight walls, m", f"{calibration.range_noise_m:.4f}", "", "measured")
     Console().print(table)
     echo(*(f"note: {note}" for note in calibration.notes))
 

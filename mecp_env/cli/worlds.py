@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+from collections import defaultdict
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -41,8 +42,6 @@ class List(Command):
         mecp-env worlds list
     """
 
-    keeps_results = False
-
     def run(self, line: Line) -> int:
         """Print a table of each, and the splits."""
         console = Console()
@@ -62,8 +61,6 @@ class Validate(ReadsPlans):
     """
 
     files: Buildings  # files, folders, or any building as for draw
-
-    keeps_results = False
 
     def run(self, line: Line) -> int:
         """Check every file, a line each."""
@@ -297,8 +294,9 @@ COLUMNS = {  # figure -> heading, format; the median of an even number of counts
     "longest_corridor_m": ("corridor\nm", "{:.1f}"),
 }
 NAME_WIDTH = 20  # with the figures it fits into 80 columns
+SPREAD: dict[str, Callable[[Sequence[float]], float]] = {"min": min, "median": median, "mean": fmean, "max": max}
 
-Figures = Mapping[str, float]
+Figures = Mapping[str, Sequence[float]]  # of each building of a word
 
 
 @dataclass(frozen=True)
@@ -315,8 +313,6 @@ class Stats(ReadsPlans):
     worlds: Buildings = ()  # as for draw; none: all that are shipped
     json: bool = False  # as JSON, with every figure
 
-    keeps_results = False
-
     def run(self, line: Line) -> int:
         """Measure, and print a table or JSON."""
         words = {word: self.reading.expand(word) for word in self.worlds or shipped_layouts()}
@@ -324,46 +320,39 @@ class Stats(ReadsPlans):
         if self.json:
             print(json.dumps({word: together(figures) for word, figures in measured.items()}, indent=2))
         else:
-            _print_table(measured)
+            Console().print(_table(measured))
         return 0
 
 
-def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, list[Figures]]:
+def measure(words: Mapping[str, Sequence[str]], reading: Reading) -> dict[str, Figures]:
     """The figures of all buildings of each word."""
     from mecp_env.world.doors import building_figures
 
     single = [(word, building) for word, buildings in words.items() for building in buildings]
-    found: dict[str, list[Figures]] = {word: [] for word in words}
+    found: dict[str, dict[str, list[float]]] = {word: defaultdict(list) for word in words}
     for word, building in tracked(single, len(single), "buildings"):
-        found[word].append(asdict(building_figures(reading.load(building))))
-    return found
+        for name, value in asdict(building_figures(reading.load(building))).items():
+            found[word][name].append(value)
+    return {**found}
 
 
-def together(figures: Sequence[Figures]) -> dict[str, Any]:
+def together(figures: Figures) -> dict[str, Any]:
     """The figures of one building as they are; of several their number, and least, median, mean and most of each."""
-    if len(figures) == 1:
-        return {"buildings": 1, **_rounded(figures[0])}
-    columns = {name: [one[name] for one in figures] for name in figures[0]}
-    return {"buildings": len(figures), **{name: _rounded(_spread(values)) for name, values in columns.items()}}
+    count = len(next(iter(figures.values())))
+    if count == 1:
+        return {"buildings": 1, **{name: round(values[0], 3) for name, values in figures.items()}}
+    spreads = {name: {of: round(f(values), 3) for of, f in SPREAD.items()} for name, values in figures.items()}
+    return {"buildings": count, **spreads}
 
 
-def _spread(values: Sequence[float]) -> Figures:
-    return {"min": min(values), "median": median(values), "mean": fmean(values), "max": max(values)}
-
-
-def _rounded(figures: Figures) -> dict[str, float]:
-    return {name: round(value, 3) for name, value in figures.items()}
-
-
-def _print_table(measured: Mapping[str, Sequence[Figures]]) -> None:
+def _table(measured: Mapping[str, Figures]) -> Table:
     table = Table(box=SIMPLE_HEAD, padding=(0, 0), pad_edge=False)
     table.add_column("building", overflow="fold", max_width=NAME_WIDTH)
     for heading, _ in COLUMNS.values():
         table.add_column(heading, justify="right", no_wrap=True)
     for word, figures in measured.items():
-        entries = (_entry([one[name] for one in figures], form) for name, (_, form) in COLUMNS.items())
-        table.add_row(Text(sanitised(word)), *entries)
-    Console().print(table)
+        table.add_row(Text(sanitised(word)), *(_entry(figures[name], form) for name, (_, form) in COLUMNS.items()))
+    return table
 
 
 def _entry(values: Sequence[float], form: str) -> str:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from mecp_env.policies.registry import INSTALL
 from mecp_env.vector import BatchEnv, make_batch
-from mecp_env.vector.hosted import call
+from mecp_env.vector.batch import call
 
 try:
     import torch

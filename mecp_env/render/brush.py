@@ -70,9 +70,9 @@ class Brush:
         self.canvas.fill(background)
         self._fonts: dict[int, pygame.font.Font] = {}
 
-    def image(self) -> Bytes:
-        """The picture, uint8 (height, width, 3)."""
-        small = pygame.transform.smoothscale(self.canvas, self.size)
+    def image(self, fine: bool = False) -> Bytes:
+        """The picture, uint8 (height, width, 3), or the surface itself, which is finer."""
+        small = self.canvas if fine else pygame.transform.smoothscale(self.canvas, self.size)
         return np.ascontiguousarray(pygame.surfarray.array3d(small).transpose(1, 0, 2))
 
     @contextmanager

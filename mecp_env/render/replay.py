@@ -5,31 +5,23 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bytes, Ints
+from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.render import palette
-from mecp_env.render.replay_page import (
-    PackedGrid,
-    ReplayError,
-    Versions,
-    changed_cells,
-    changed_rows,
-    play_again,
-    read_page,
-    write_page,
-)
+from mecp_env.render.replay_page import PackedGrid, ReplayError, changed_cells, changed_rows, read_page, write_page
 from mecp_env.render.shapes import SceneView, loops, signed_area
-from mecp_env.slam.messages import Cell, Corners, Decision, Match, Reason, SemanticGrid
+from mecp_env.slam.messages import Belief, Cell, Corners, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
-__all__ = ["Recorder", "ReplayError", "play_again", "read_page", "write_page"]
+__all__ = ["Recorder", "ReplayError", "read_page", "write_page"]
 
 MOST_FRAMES = 1500  # a longer run keeps every second step, then every fourth, ...
 MOST_BEAMS = 180  # of a scan that are drawn
@@ -39,24 +31,22 @@ CURVES = (  # metrics that are drawn over time, as far as a run has them, and th
     *(("rooms_found", 1.0), ("rooms", 1.0), ("doors_found", 1.0), ("doors", 1.0), ("contacts", 1.0)),
 )
 REWARD = "reward_"
-NO_PATH = np.empty((0, 2))  # the page draws the paths from the poses
-NO_CELLS: dict[str, Any] = {
-    "label": np.empty((0, 0), np.uint8),
-    "polygon": np.empty((0, 0), np.bool_),
-    "room": np.empty((0, 0), np.int16),
-}
 
 
 @dataclass(slots=True, eq=False)
 class Frame:
-    """One step: the messages of the estimator, which are immutable, and what is around them."""
+    """One step in whole numbers: what is written as it is, and what only where it changed."""
 
-    view: SceneView  # without the cells of its grid
-    step: int
-    seconds: float
-    matched: Ints  # (k,) ids of the map polygon that was recognised, as it was then
+    row: dict[str, Any]
     grid: PackedGrid
-    curves: Mapping[str, float]
+    landmarks: dict[int, list[int]]
+    map: str  # as JSON
+    recognised: int  # landmarks of the polygon of the map that was recognised
+
+    def written(self, **changes: Any) -> dict[str, Any]:
+        """As a page has it; what there is none of is left out."""
+        row = self.row | changes
+        return {name: value for name, value in row.items() if not (value is None or value is False or value == [])}
 
 
 @dataclass(slots=True, eq=False)
@@ -68,100 +58,102 @@ class Recorder:
     every: int = 1
     steps: int = 0
     earned: dict[str, float] = field(default_factory=dict)  # reward by term, of the steps so far
-    before: SlamOutput | None = None
+    view: SceneView | None = None  # of the last step
+    version: int = -1  # of the last grid
 
     def look(self, view: SceneView, info: Mapping[str, Any] | None = None, seconds: float | None = None) -> None:
         """Keep a step; `info` of the environment has the terms of its reward, `seconds` is its time in a log."""
-        for name, value in (info or {}).items():
-            if name.startswith(REWARD):
-                self.earned[name] = self.earned.get(name, 0.0) + float(value)
+        self.earned |= earned(self.earned, info or {})
         if self.steps % self.every == 0:
             self.frames.append(self._frame(view, self.steps * self.period_s if seconds is None else seconds))
-            self._thin()
-        self.before = view.slam_output
-        self.steps += 1
-
-    def _thin(self) -> None:
         if len(self.frames) > MOST_FRAMES:
             self.frames = self.frames[::2]
             self.every *= 2
+        self.view = view
+        self.steps += 1
 
     def _frame(self, view: SceneView, seconds: float) -> Frame:
-        output, known = view.slam_output, np.empty(0, np.int64)
-        if self.before is not None and 0 <= output.associated.known < len(self.before.map_polygons):
-            known = self.before.map_polygons[output.associated.known].ids
-        last = self.frames[-1] if self.frames else None
-        same = last is not None and last.view.slam_output.grid.version == output.grid.version
-        grid = last.grid if last is not None and same else PackedGrid.of(codes(output.grid), output.grid.origin)
-        curves = {name: float(view.metrics[name]) for name, _ in CURVES if name in view.metrics}
-        bare = replace(output, grid=replace(output.grid, **NO_CELLS))
-        short = replace(view, path_world=NO_PATH, path_map=NO_PATH, slam_output=bare)
-        return Frame(short, self.steps, seconds, known, grid, curves | self.earned)
-
-    def run(self, title: str, result: str = "") -> dict[str, Any]:
-        """All that was kept, as plain data. Call it once there is a step."""
-        last = self.frames[-1].view
+        output = view.slam_output
+        matched = self._matched(output)
         units = dict(CURVES) | dict.fromkeys(self.earned, 100.0)
-        place, size, cells = changed_cells([frame.grid for frame in self.frames], last.slam_output.grid.resolution_m)
-        maps, landmarks = Versions(), changed_rows(map(landmark_rows, self.frames))
-        return {
-            "title": title,
-            "result": result,
-            "robot_cm": whole(last.robot_radius_m, CM),
-            "walls": [whole(ring, CM) for ring in loops(last.segments)],
-            "solid": [signed_area(ring) < 0.0 for ring in loops(last.segments)],
-            "map_in_world": [*whole(last.T_world_map[:2], CM), whole(last.T_world_map[2], MRAD)],
-            "bearings": whole(beams_shown(last.slam_output)[0], MRAD),
-            "laser": [*whole(last.slam_output.T_robot_laser[:2], CM), whole(last.slam_output.T_robot_laser[2], MRAD)],
-            "grid": {"origin": whole(place, CM), "size": size, "cell": last.slam_output.grid.resolution_m},
-            "rooms": [list(colour) for colour in palette.ROOMS],
-            "reasons": {int(reason): REASONS[reason] for reason in Reason},
-            "kinds": KINDS,
-            "decisions": {int(decision): DECISIONS[decision] for decision in Decision},
-            "curve_units": units,
-            "frames": [
-                self._written(frame, maps, runs, rows)
-                for frame, runs, rows in zip(self.frames, cells, landmarks, strict=True)
-            ],
-            "maps": maps.all,
-            "opens_at": self._telling(),
-        }
-
-    def _telling(self) -> int:
-        """The frame to open at: a polygon of the map is recognised, with as many landmarks as ever, half-way or so."""
-        count = [len(f.view.slam_output.match.recognised()) if len(f.matched) else 0 for f in self.frames]
-        first, last = len(count) // 4, 1 + 3 * len(count) // 4
-        return first + int(np.argmax(count[first:last])) if any(count[first:last]) else len(count) // 2
-
-    def _written(self, frame: Frame, maps: Versions, cells: list[int], landmarks: list[list[int]]) -> dict[str, Any]:
-        """One step in whole numbers; what did not change is left out."""
-        view, output = frame.view, frame.view.slam_output
-        units = dict(CURVES) | dict.fromkeys(self.earned, 100.0)
-        ranges = beams_shown(output)[1]
-        written = {
-            "step": frame.step,
-            "time": whole(frame.seconds, 100.0),
+        curves = {name: view.metrics[name] for name, _ in CURVES if name in view.metrics} | self.earned
+        row = {
+            "step": self.steps,
+            "time": whole(seconds, 100.0),
             "truth": pose(view.T_world_robot) if len(view.segments) else None,
             "pose": pose(output.belief.T_map_robot),
             "cov": whole(upper(output.belief.pose_cov[:2, :2]), MM2),
             "turn_sigma": whole(np.sqrt(output.belief.pose_cov[2, 2]), MRAD),
-            "ranges": whole(ranges, CM),
+            "ranges": whole(beams_shown(output)[1], CM),
             "corners": corner_rows(output.corners, output.match, output.associated),
             "polygons": [whole(points_of(output)[p.corners], CM) for p in output.polygons],
             "chosen": output.associated.polygon,
-            "matched": frame.matched.tolist(),
-            "landmarks": landmarks,
-            "cells": cells,
-            "map": maps.number(map_of(output)),
+            "matched": matched,
             "room": output.graph.resolve(output.graph.current),
             "goals": goal_rows(view),
             "target": view.target,
             "moving": [whole(ring, CM) for ring in loops(view.moving)],
             "confidence": whole(output.confidence, MRAD),
             "lost": not output.localised,
-            "curves": {name: whole(value, units[name]) for name, value in frame.curves.items()},
+            "curves": {name: whole(value, units[name]) for name, value in curves.items()},
         }
-        return {name: value for name, value in written.items() if not (value is None or value is False or value == [])}
+        recognised = len(output.match.recognised()) if matched else 0
+        return Frame(row, self._packed(output.grid), landmark_rows(output.belief), map_of(output), recognised)
+
+    def _matched(self, output: SlamOutput) -> list[int]:
+        """The landmarks of the polygon of the map that was recognised, as it was before."""
+        before = self.view.slam_output.map_polygons if self.view is not None else ()
+        known = output.associated.known
+        return before[known].ids.tolist() if 0 <= known < len(before) else []
+
+    def _packed(self, grid: SemanticGrid) -> PackedGrid:
+        if not self.frames or self.version != grid.version:
+            self.version = grid.version
+            return PackedGrid.of(codes(grid), grid.origin)
+        return self.frames[-1].grid
+
+    def run(self, title: str, result: str = "") -> dict[str, Any]:
+        """All that was kept, as plain data. Call it once there is a step."""
+        assert self.view is not None
+        view, output = self.view, self.view.slam_output
+        place, size, cells = changed_cells([frame.grid for frame in self.frames], output.grid.resolution_m)
+        return {
+            "title": title,
+            "result": result,
+            "robot_cm": whole(view.robot_radius_m, CM),
+            "walls": [whole(ring, CM) for ring in loops(view.segments)],
+            "solid": [signed_area(ring) < 0.0 for ring in loops(view.segments)],
+            "map_in_world": pose(view.T_world_map),
+            "bearings": whole(beams_shown(output)[0], MRAD),
+            "laser": pose(output.T_robot_laser),
+            "grid": {"origin": whole(place, CM), "size": size, "cell": output.grid.resolution_m},
+            "rooms": list(map(list, palette.ROOMS)),
+            "reasons": {int(reason): REASONS[reason] for reason in Reason},
+            "kinds": KINDS,
+            "decisions": {int(decision): DECISIONS[decision] for decision in Decision},
+            "curve_units": dict(CURVES) | dict.fromkeys(self.earned, 100.0),
+            **self._written(cells),
+            "opens_at": self._telling(),
+        }
+
+    def _written(self, cells: list[list[int]]) -> dict[str, Any]:
+        """The frames with what changed in each, and the maps that they name, each once."""
+        maps = {name: place for place, name in enumerate(dict.fromkeys(frame.map for frame in self.frames))}
+        rows = zip(self.frames, cells, changed_rows(frame.landmarks for frame in self.frames), strict=True)
+        frames = [frame.written(cells=runs, landmarks=marks, map=maps[frame.map]) for frame, runs, marks in rows]
+        return {"frames": frames, "maps": list(map(json.loads, maps))}
+
+    def _telling(self) -> int:
+        """The frame to open at: a polygon of the map is recognised, with as many landmarks as ever, half-way or so."""
+        count = [frame.recognised for frame in self.frames]
+        first, last = len(count) // 4, 1 + 3 * len(count) // 4
+        return first + int(np.argmax(count[first:last])) if any(count[first:last]) else len(count) // 2
+
+
+def earned(before: Mapping[str, float], info: Mapping[str, Any]) -> dict[str, float]:
+    """The terms of the reward in the info of a step, added to those of the steps before."""
+    terms = {name: float(value) for name, value in info.items() if name.startswith(REWARD)}
+    return {name: before.get(name, 0.0) + value for name, value in terms.items()}
 
 
 def whole(values: Any, unit: float) -> Any:
@@ -216,24 +208,24 @@ def goal_rows(view: SceneView) -> list[list[int]]:
     return [[*place, *rest] for place, *rest in rows] if count else []
 
 
-def landmark_rows(frame: Frame) -> dict[int, list[int]]:
+def landmark_rows(belief: Belief) -> dict[int, list[int]]:
     """For each landmark x, y in cm and its covariance xx, xy, yy in mm^2."""
-    belief = frame.view.slam_output.belief
     places = whole(belief.p_map, CM)
     covs = whole(upper(belief.covs), MM2)
     return {name: [*p, *c] for name, p, c in zip(belief.ids.tolist(), places, covs, strict=True)}
 
 
-def map_of(output: SlamOutput) -> dict[str, Any]:
+def map_of(output: SlamOutput) -> str:
     """Polygons with their rooms, doors by the landmarks of their jambs, and gaps that are no doors yet."""
     graph = output.graph
     pairs = [pair for door in graph.doors for pair in (door.jambs, door.other_face) if pair is not None]
-    return {
+    found = {
         "polygons": [[graph.resolve(p.room), *p.ids.tolist()] for p in output.map_polygons],
         "doors": [list(pair) for pair in pairs],
         "gaps": [whole(gap.ends, CM) for gap in graph.candidates],
         "rooms": list(graph.rooms),
     }
+    return json.dumps(found)
 
 
 def codes(grid: SemanticGrid) -> Bytes:

@@ -13,7 +13,7 @@ import json
 import re
 import zlib
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, Self
@@ -26,22 +26,6 @@ from mecp_env.core.files import loads, write_atomic
 
 Row = list[int]  # x, y, xx, xy, yy of a landmark
 ENOUGH = 0.1  # share by which a covariance must change to be written again
-
-
-@dataclass(slots=True, eq=False)
-class Versions:
-    """Things that seldom change, each written once."""
-
-    all: list[Any] = field(default_factory=list)
-    numbers: dict[str, int] = field(default_factory=dict)
-
-    def number(self, thing: Any) -> int:
-        """The place of `thing` in `all`."""
-        name = json.dumps(thing)
-        if name not in self.numbers:
-            self.numbers[name] = len(self.all)
-            self.all.append(thing)
-        return self.numbers[name]
 
 
 def changed_rows(frames: Iterable[dict[int, Row]]) -> Iterator[list[Row]]:
@@ -127,17 +111,13 @@ class ReplayError(MecpError):
 
 
 def write_page(run: dict[str, Any], path: Path) -> None:
-    """Write the page that plays a run (`Recorder.run`). Raises `OSError`."""
-    _write(run["title"], gzip.compress(json.dumps(run, separators=(",", ":")).encode(), 9, mtime=0), path)
-
-
-def _write(title: str, packed: bytes, path: Path) -> None:
-    """The page of a run that is packed."""
+    """Write the page that plays a run (`Recorder.run`, `read_page`). Raises `OSError`."""
+    packed = gzip.compress(json.dumps(run, separators=(",", ":")).encode(), 9, mtime=0)
     parts = {
         name: (files(__package__) / "player" / name).read_text("utf-8")
         for name in ("page.html", "style.css", "player.js")
     }
-    texts = {"title": html.escape(title), "version": str(VERSION), "run": base64.b64encode(packed).decode()}
+    texts = {"title": html.escape(run["title"]), "version": str(VERSION), "run": base64.b64encode(packed).decode()}
     texts |= {"style": parts["style.css"], "player": parts["player.js"]}
     page = MARK.sub(lambda mark: texts[mark[1]], parts["page.html"])  # at once: a text may hold what looks like a mark
     write_atomic(path, page.encode("utf-8", "replace"))
@@ -145,17 +125,16 @@ def _write(title: str, packed: bytes, path: Path) -> None:
 
 def read_page(path: Path) -> dict[str, Any]:
     """The run in a page. Raises `ReplayError` for a file that is none, `OSError` for one that cannot be read."""
-    return _checked(packed_run(path), path)
-
-
-def play_again(path: Path, out: Path) -> int:
-    """Write the page with the player of this version; the number of its frames. Raises as `read_page`."""
     packed = packed_run(path)
-    run = _checked(packed, path)
-    title, count = run["title"], len(run["frames"])
-    del run  # it may be large
-    _write(title, packed, out)
-    return count
+    try:
+        run = loads(unpacked(packed), VALUE_BYTES[0] + VALUE_BYTES[1] * len(packed))
+    except (ValueError, OSError, EOFError, zlib.error, MemoryError) as error:
+        raise ReplayError(f"{path}: the run in it is damaged ({error!s:.200}); {AGAIN}") from error
+    if not isinstance(run, dict) or not isinstance(run.get("frames"), list) or not run["frames"]:
+        raise ReplayError(f"{path}: the run in it has no frames")
+    if not isinstance(run.get("title"), str):
+        raise ReplayError(f"{path}: title: {type(run.get('title')).__name__}, expected a text; {AGAIN}")
+    return run
 
 
 def packed_run(path: Path) -> bytes:
@@ -176,19 +155,6 @@ def packed_run(path: Path) -> bytes:
         return base64.b64decode(found[2], validate=True)
     except ValueError as error:
         raise ReplayError(f"{path}: the run in it is damaged ({error!s:.200}); {AGAIN}") from error
-
-
-def _checked(packed: bytes, path: Path) -> dict[str, Any]:
-    """The run that is packed. Raises `ReplayError`."""
-    try:
-        run = loads(unpacked(packed), VALUE_BYTES[0] + VALUE_BYTES[1] * len(packed))
-    except (ValueError, OSError, EOFError, zlib.error, MemoryError) as error:
-        raise ReplayError(f"{path}: the run in it is damaged ({error!s:.200}); {AGAIN}") from error
-    if not isinstance(run, dict) or not isinstance(run.get("frames"), list) or not run["frames"]:
-        raise ReplayError(f"{path}: the run in it has no frames")
-    if not isinstance(run.get("title"), str):
-        raise ReplayError(f"{path}: title: {type(run.get('title')).__name__}, expected a text; {AGAIN}")
-    return run
 
 
 def unpacked(packed: bytes) -> bytes:

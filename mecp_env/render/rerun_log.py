@@ -17,9 +17,9 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.render import palette
-from mecp_env.render.replay import DECISIONS, KINDS, REASONS, REWARD
-from mecp_env.render.shapes import CHI2_95, SceneView, cell_colours, door_lines, loops, magnification, positions
+from mecp_env.render import palette, shapes
+from mecp_env.render.replay import DECISIONS, KINDS, REASONS, REWARD, earned
+from mecp_env.render.shapes import SceneView
 from mecp_env.slam.messages import LANDMARK, Decision, Match, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
@@ -35,15 +35,8 @@ TITLES = ("Pose error and 3 sigma, m", "NEES", "Coverage and confidence", "Found
 HEIGHTS = {"grid": -0.02, "lines": 0.0, "points": 0.02}  # m, so that points are drawn above lines
 THIN_M, THICK_M = 0.015, 0.04  # radii of lines
 DOT_M = 0.05
-FLAT_M = 1e-3  # height of an ellipse
 SEEN_FROM, LEAST_HEIGHT_M = 1.1, 12.0  # the first view is from so many times the size of the building above it
 PATH = "belief/path"  # a piece a step; the first view shows all up to the present
-DECISION_COLOURS = {
-    Decision.LANDMARK: palette.GOAL,
-    Decision.PROVISIONAL: palette.DOOR,
-    Decision.NEW: palette.ESTIMATE,
-    Decision.IGNORED: palette.FAINT,
-}
 
 
 def rerun_library() -> Any:
@@ -65,7 +58,7 @@ class RerunLog:
         self.rr = rerun_library()
         self.period_s, self.steps = period_s, 0
         self.earned: dict[str, float] = {}  # reward by term, of the steps so far
-        self.grid_version, self.factor = -1, 0.0  # of the grid and the ellipses that were logged last
+        self.grid_version = -1  # of the grid that was logged last
         self.last_place: Array | None = None
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -96,7 +89,7 @@ class RerunLog:
         """What does not change: the walls, and where the map frame lies."""
         self.stream.log("/", self.rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
         self.stream.log("belief", self._transform(view.T_world_map), static=True)
-        self._lines("world/walls", [_closed(ring) for ring in loops(view.segments)], palette.SOLID, static=True)
+        self._lines("world/walls", map(shapes.closed, shapes.loops(view.segments)), palette.SOLID, static=True)
 
     def _robot(self, view: SceneView) -> None:
         """The believed pose with its 95 % ellipse and, where there is truth, the true one with what moves."""
@@ -106,14 +99,15 @@ class RerunLog:
         log("belief/robot", self._transform(pose))
         self._lines("belief/robot/body", [body], palette.ESTIMATE, THICK_M)
         log("belief/robot/laser", self._transform(output.T_robot_laser))
-        self._ellipses("belief/pose_ellipse", pose[None, :2], output.belief.pose_cov[None, :2, :2], 1.0)
+        ellipse = shapes.ellipse(pose[:2], output.belief.pose_cov[:2, :2])
+        self._lines("belief/pose_ellipse", [shapes.closed(ellipse)], palette.LANDMARK)
         if self.last_place is not None:
             self._lines(PATH, [np.array([self.last_place, pose[:2]])], palette.ESTIMATE)
         self.last_place = pose[:2]
         if len(view.segments):
             log("world/robot", self._transform(view.T_world_robot))
             self._lines("world/robot/body", [body], palette.TRUTH, THICK_M)
-            self._lines("world/moving", [_closed(ring) for ring in loops(view.moving)], palette.MOVER)
+            self._lines("world/moving", map(shapes.closed, shapes.loops(view.moving)), palette.MOVER)
 
     def _scan(self, output: SlamOutput) -> None:
         """Beams, corners with decision and reason, and polygons of this scan, in the laser's frame."""
@@ -121,10 +115,10 @@ class RerunLog:
         hits = polar_to_points(np.column_stack([beams.ranges, beams.bearings])[beams.hit])
         self._points(f"{at}/scan", hits, palette.HIT, 0.02)
         corners = polar_to_points(output.corners.z)
-        colours = [DECISION_COLOURS[Decision(one)] for one in match.decision.tolist()]
+        colours = [shapes.DECISION_COLOURS[Decision(one)] for one in match.decision.tolist()]
         self._points(f"{at}/corners", corners, colours, DOT_M, _reasons(match))
         vertices = polar_to_points(output.polygon_corners.z)
-        rings = [_closed(vertices[polygon.corners]) for polygon in output.polygons]
+        rings = [shapes.closed(vertices[polygon.corners]) for polygon in output.polygons]
         self._lines(f"{at}/polygons", rings, palette.FAINT)
         known = 0 <= match.polygon < len(rings)
         self._lines(f"{at}/recognised_polygon", [rings[match.polygon]] if known else [], palette.POLYGON, THICK_M)
@@ -133,17 +127,19 @@ class RerunLog:
     def _map(self, view: SceneView) -> None:
         """Grid, landmarks with ellipses, polygons and doors of the map, as far as its landmarks are in the filter."""
         output, belief, graph = view.slam_output, view.slam_output.belief, view.slam_output.graph
+        believed = replace(view, T_world_map=np.zeros(3))  # in the map frame
         if self.grid_version != output.grid.version:
             self.grid_version = output.grid.version
             self.stream.log("belief/grid", self._grid(output.grid))
         names = [str(name) for name in belief.ids.tolist()]
         self._points("belief/landmarks", belief.p_map, palette.LANDMARK, DOT_M, names)
-        self._ellipses("belief/landmark_ellipses", belief.p_map, belief.covs, magnification(belief))
+        ellipses = shapes.landmark_ellipses(believed)
+        self._lines("belief/landmark_ellipses", map(shapes.closed, ellipses), palette.LANDMARK)
         known = [polygon for polygon in output.map_polygons if np.isin(polygon.ids, belief.ids).all()]
-        rings = [_closed(belief.p_map[belief.rows(polygon.ids)]) for polygon in known]
+        rings = [shapes.closed(belief.p_map[belief.rows(polygon.ids)]) for polygon in known]
         colours = [palette.room_colour(graph.resolve(polygon.room)) for polygon in known]
         self._lines("belief/map_polygons", rings, colours)
-        faces, gaps = door_lines(replace(view, T_world_map=np.zeros(3)))
+        faces, gaps = shapes.door_lines(believed)
         self._lines("belief/doors", faces, palette.DOOR, THICK_M)
         self._lines("belief/gaps", gaps, palette.DOOR)
 
@@ -158,9 +154,7 @@ class RerunLog:
 
     def _curves(self, view: SceneView, info: Mapping[str, Any]) -> None:
         """Scalars: what the replay draws over time."""
-        for name, value in info.items():
-            if name.startswith(REWARD):
-                self.earned[name] = self.earned.get(name, 0.0) + float(value)
+        self.earned |= earned(self.earned, info)
         belief, curves = view.slam_output.belief, dict[str, float]()
         for panel, names in PANELS.items():
             curves |= {f"{panel}/{name}": view.metrics[name] for name in names if name in view.metrics}
@@ -179,15 +173,12 @@ class RerunLog:
         if 0 <= match.polygon < len(output.polygons):
             said.append(f"polygon of {len(output.polygons[match.polygon].corners)} vertices recognised")
         said.append(f"corners: {', '.join(decided) or 'none'}")
+        said.append(f"ellipses of landmarks x {shapes.magnification(output.belief):.0f}")
         self.stream.log("decisions", self.rr.TextLog("; ".join(said), level="INFO" if output.localised else "WARN"))
-        factor = magnification(output.belief)
-        if self.factor != factor:
-            self.factor = factor
-            self.stream.log("decisions", self.rr.TextLog(f"ellipses of landmarks are drawn {factor:.0f} times as long"))
 
     def _grid(self, grid: SemanticGrid) -> Any:
         """The semantic grid in colours; its first row of an image is the last of the grid."""
-        colours = np.ascontiguousarray(np.flipud(cell_colours(grid)))
+        colours = np.ascontiguousarray(np.flipud(shapes.cell_colours(grid)))
         height, width, _ = colours.shape
         shape = self.rr.components.ImageFormat(width, height, color_model="RGB", channel_datatype="U8")
         place = [*grid.origin.tolist(), HEIGHTS["grid"]]
@@ -205,21 +196,6 @@ class RerunLog:
     def _points(self, name: str, points: Array, colours: Any, radius: float, labels: list[str] | None = None) -> None:
         lifted = _lifted(points, HEIGHTS["points"])
         shown = self.rr.Points3D(lifted, colors=colours, radii=radius, labels=labels, show_labels=False)
-        self.stream.log(name, shown)
-
-    def _ellipses(self, name: str, means: Array, covs: Array, magnified: float) -> None:
-        """95 % ellipses of points (n,2) with covariances (n,2,2), their axes `magnified` times as long."""
-        values, axes = np.linalg.eigh(covs)
-        half = magnified * np.sqrt(CHI2_95 * np.maximum(values, 0.0))
-        turn = 0.5 * np.arctan2(axes[:, 1, 0], axes[:, 0, 0])  # half the angle of the first axis
-        nothing = np.zeros((len(turn), 2))
-        shown = self.rr.Ellipsoids3D(
-            centers=_lifted(means, HEIGHTS["lines"]),
-            half_sizes=np.column_stack([half, np.full(len(half), FLAT_M)]),
-            quaternions=np.column_stack([nothing, np.sin(turn), np.cos(turn)]),
-            colors=palette.LANDMARK,
-            fill_mode=self.rr.components.FillMode.MajorWireframe,
-        )
         self.stream.log(name, shown)
 
 
@@ -251,9 +227,7 @@ def _first_view(bounds: Array) -> Any:
     right = views.Vertical(*curves, views.TextLogView(origin="decisions", name="Decisions"))
     layout = views.Horizontal(plan, right, column_shares=[3, 2])
     time = views.TimePanel(timeline="time", state="collapsed")
-    return views.Blueprint(
-        layout, views.BlueprintPanel(state="collapsed"), views.SelectionPanel(state="collapsed"), time
-    )
+    return views.Blueprint(layout, time, collapse_panels=True)
 
 
 def _reasons(match: Match) -> list[str]:
@@ -268,14 +242,9 @@ def _reasons(match: Match) -> list[str]:
 
 def _pairs(output: SlamOutput, corners: Array) -> list[Array]:
     """Lines (2,2) m, map frame, from each recognised corner to its landmark."""
-    where, seen = positions(output.belief), to_map(output.T_map_laser, corners)
+    where, seen = shapes.positions(output.belief), to_map(output.T_map_laser, corners)
     pairs = zip(seen, output.match.decision.tolist(), output.match.ids.tolist(), strict=True)
     return [np.array([p, where[name]]) for p, decision, name in pairs if decision == LANDMARK and name in where]
-
-
-def _closed(ring: Array) -> Array:
-    closed: Array = np.vstack([ring, ring[:1]])
-    return closed
 
 
 def _circle(radius_m: float) -> Array:

@@ -12,12 +12,10 @@ from pathlib import Path
 
 import numpy as np
 from PIL import Image
-from pydantic import Field
 from scipy.ndimage import gaussian_filter, map_coordinates, maximum_filter
 
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.se2 import compose, inverse, to_map
-from mecp_env.core.settings import Settings
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Brush, Camera
 from mecp_env.render.palette import RGB
@@ -39,7 +37,13 @@ LEGEND: Legend = (
     ("room: one colour each", palette.ROOMS[0], "dot"),
 )
 PLACE_LEGEND: Legend = (("known ground", palette.PLACE, "square"),)
-MOVER_LEGEND: Legend = (("pedestrian, box", palette.MOVER, "square"),)
+MAP_LEGEND: Legend = (
+    ("estimated path", palette.ESTIMATE, "line"),
+    ("door", palette.DOOR, "line"),
+    ("polygons of a room: one colour each", palette.ROOMS[0], "dot"),
+)
+BARS_M = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)
+HEADER_LETTERS = 2500.0  # a title of more letters is written smaller than 24 px
 COLOURS = 96
 SMALL = (palette.HIT, palette.LANDMARK, palette.GOAL, palette.DOOR, palette.ESTIMATE, palette.TRUTH, palette.INK)
 LAST_FRAME_MS = 2500
@@ -48,17 +52,13 @@ LAST_FRAME_MS = 2500
 def draw_world(brush: Brush, view: SceneView, box: Box) -> None:
     """The true walls, the robot with its scan, and its path."""
     camera = Camera.fit(view.bounds, box)
-    for strip in shapes.wall_strips(view.segments):
-        brush.area(camera.pixels(strip), palette.SOLID)
-    for ring in loops(view.segments):
-        brush.area(camera.pixels(ring), palette.SOLID if signed_area(ring) < 0.0 else palette.FREE)
+    _draw_walls(brush, view, camera, palette.SOLID)
     ends, hit = shapes.beam_ends(view.slam_output, view.T_world_robot)
     brush.veil([(camera.pixels(shapes.beam_fan(view.slam_output, view.T_world_robot)), palette.BEAM)], alpha=50)
     brush.line(camera.pixels(view.path_world), palette.TRUTH, 1.5)
     for pixel in camera.pixels(ends[hit]):
         brush.dot(pixel, 1.3, palette.HIT)
-    for ring in loops(view.moving):
-        brush.area(camera.pixels(ring), palette.MOVER)
+    _draw_moving(brush, view, camera)
     draw_robot(brush, view.T_world_robot, view.robot_radius_m, camera, palette.INK)
 
 
@@ -80,13 +80,9 @@ def draw_belief(brush: Brush, view: SceneView, box: Box) -> None:
         brush.ring(camera.pixels(polygon), palette.POLYGON, 2.5)
     for pixel in camera.pixels(vertices):
         brush.square(pixel, 5.0, palette.POLYGON, 1.5)
-    for ring in shapes.landmark_ellipses(view):
-        brush.ring(camera.pixels(ring), palette.LANDMARK)
-    for pixel in camera.pixels(view.to_world(view.slam_output.belief.p_map)):
-        brush.dot(pixel, 2.2, palette.LANDMARK)
+    _draw_landmarks(brush, view, camera)
     _draw_goals(brush, view, camera)
-    for room, p_map in shapes.room_labels(view.slam_output, view.path_map).items():
-        brush.label(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18)
+    _name_rooms(brush, view, camera)
     belief = view.slam_output.belief
     ring = shapes.ellipse(belief.T_map_robot[:2], belief.pose_cov[:2, :2], shapes.magnification(belief))
     brush.ring(camera.pixels(view.to_world(ring)), palette.LANDMARK)
@@ -132,6 +128,31 @@ def grid_picture(grid: SemanticGrid, T_world_map: Array, camera: Camera, box: Bo
     return picture.reshape(box.height, box.width, 3)
 
 
+def _draw_walls(brush: Brush, view: SceneView, camera: Camera, colour: RGB) -> None:
+    """The true walls, and free space between them."""
+    for strip in shapes.wall_strips(view.segments):
+        brush.area(camera.pixels(strip), colour)
+    for ring in loops(view.segments):
+        brush.area(camera.pixels(ring), colour if signed_area(ring) < 0.0 else palette.FREE)
+
+
+def _draw_moving(brush: Brush, view: SceneView, camera: Camera) -> None:
+    for ring in loops(view.moving):
+        brush.area(camera.pixels(ring), palette.MOVER)
+
+
+def _draw_landmarks(brush: Brush, view: SceneView, camera: Camera) -> None:
+    for ring in shapes.landmark_ellipses(view):
+        brush.ring(camera.pixels(ring), palette.LANDMARK)
+    for pixel in camera.pixels(view.to_world(view.slam_output.belief.p_map)):
+        brush.dot(pixel, 2.2, palette.LANDMARK)
+
+
+def _name_rooms(brush: Brush, view: SceneView, camera: Camera) -> None:
+    for room, p_map in shapes.room_labels(view.slam_output, view.path_map).items():
+        brush.label(f"room {room}", camera.pixels(view.to_world(p_map[None]))[0], 18)
+
+
 def _draw_map(brush: Brush, view: SceneView, camera: Camera) -> None:
     """Polygons of the rooms, doors and door candidates."""
     areas = [(camera.pixels(ring), colour) for ring, colour in shapes.polygon_rings(view)]
@@ -156,30 +177,23 @@ def _draw_goals(brush: Brush, view: SceneView, camera: Camera) -> None:
             brush.dot(pixel, radius, palette.GOAL, width)
 
 
-class ScreenConfig(Settings):
-    """Size of a frame."""
+class Screen:
+    """Draws frames of one size, px; touches no display (the window of the `human` mode is in window.py)."""
 
-    width_px: int = Field(1200, ge=320, le=4096)
-    height_px: int = Field(520, ge=200, le=4096)
+    def __init__(self, width: int = 1200, height: int = 520) -> None:
+        self.width, self.height = width, height
 
     @classmethod
-    def around(cls, bounds: Array, width_px: int) -> ScreenConfig:
-        """The size at which a building with these `bounds` (2,2) m fills both halves, within what fits a screen."""
+    def around(cls, bounds: Array, width: int) -> Screen:
+        """As high as a building with these `bounds` (2,2) m fills both halves, within what fits a screen."""
         across, up = np.maximum(bounds[1] - bounds[0], 1.0).tolist()
-        half = (width_px - 3 * MARGIN) / 2
+        half = (width - 3 * MARGIN) / 2
         height = HEADER + FOOTER + round(min(max(half * up / across, 0.4 * half), 1.4 * half))
-        return cls(width_px=width_px, height_px=height + height % 2)
-
-
-class Screen:
-    """Draws frames of one size; touches no display (the window of the `human` mode is in window.py)."""
-
-    def __init__(self, config: ScreenConfig | None = None) -> None:
-        self.config = config or ScreenConfig()
+        return cls(width, height + height % 2)
 
     def frame(self, view: SceneView, hide_world: bool = False) -> Bytes:
         """The picture of one moment, uint8 (height, width, 3); the world can be left out."""
-        brush = Brush((self.config.width_px, self.config.height_px), palette.PAPER)
+        brush = Brush((self.width, self.height), palette.PAPER)
         world, belief = self._panels()
         with brush.inside(world):
             (draw_nothing if hide_world else draw_world)(brush, view, world)
@@ -187,34 +201,80 @@ class Screen:
             draw_belief(brush, view, belief)
         brush.text("The world: true walls, robot and scan", (world.left, 36), 18, palette.MUTED)
         brush.text("The belief: what the agent is given", (belief.left, 36), 18, palette.MUTED)
-        self._header(brush, view)
+        _draw_header(brush, view)
         places = PLACE_LEGEND if (view.goal_kinds >= KNOWN_GROUND).any() else ()
-        scale = f"landmark, 95 % ellipse x {magnification(view.slam_output.belief):.0f}", palette.LANDMARK, "dot"
-        self._legend(brush, (*LEGEND, scale) + places + (MOVER_LEGEND if len(view.moving) else ()))
+        _draw_legend(brush, (*LEGEND, _ellipses(view), *places, *_movers(view)))
         return brush.image()
 
     def _panels(self) -> tuple[Box, Box]:
-        width = (self.config.width_px - 3 * MARGIN) // 2
-        height = self.config.height_px - HEADER - FOOTER
+        width = (self.width - 3 * MARGIN) // 2
+        height = self.height - HEADER - FOOTER
         return Box(MARGIN, HEADER, width, height), Box(2 * MARGIN + width, HEADER, width, height)
 
-    def _header(self, brush: Brush, view: SceneView) -> None:
-        brush.text(view.title, (MARGIN, 10), 24)
-        x = float(self.config.width_px - MARGIN)
-        for name, value in reversed(summary(view.metrics)):
-            x -= brush.text(value, (x, 11), 22, align=1.0) + 5
-            x -= brush.text(name, (x, 13), 18, palette.MUTED, align=1.0) + 16
 
-    def _legend(self, brush: Brush, legend: Legend) -> None:
-        x, y = float(MARGIN), self.config.height_px - FOOTER + 6
-        for name, colour, kind in legend:
-            if kind == "dot":
-                brush.dot((x + 6, y + 6), 3.5, colour)
-            elif kind == "square":
-                brush.square((x + 6, y + 6), 4.0, colour, 1.5)
-            else:
-                brush.line(np.array([[x, y + 6], [x + 12, y + 6]]), colour, 2.5)
-            x += 18 + brush.text(name, (x + 18, y), 16, palette.MUTED) + 18
+def map_picture(view: SceneView, width: int = 1200) -> Bytes:
+    """The map at the end of an episode: polygons, doors, landmarks and both paths, over the truth or the mapped walls.
+
+    Uint8 (height, width, 3), twice as fine as a frame.
+    """
+    across, up = np.maximum(view.bounds[1] - view.bounds[0], 1.0).tolist()
+    box = Box(MARGIN, HEADER, width - 2 * MARGIN, round((width - 2 * MARGIN) * min(max(up / across, 0.3), 1.4)))
+    brush, camera = Brush((width, HEADER + box.height + FOOTER), palette.PAPER), Camera.fit(view.bounds, box)
+    known = len(view.segments) > 0
+    with brush.inside(box):
+        if known:
+            _draw_walls(brush, view, camera, palette.TRUE_WALL)
+        else:
+            brush.picture(grid_picture(view.slam_output.grid, view.T_world_map, camera, box), box)
+        _draw_moving(brush, view, camera)
+        _draw_map(brush, view, camera)
+        brush.line(camera.pixels(view.path_world), palette.TRUE_PATH, 5.0)
+        brush.line(camera.pixels(view.to_world(view.path_map)), palette.ESTIMATE, 1.5)
+        _draw_landmarks(brush, view, camera)
+        _name_rooms(brush, view, camera)
+    _draw_header(brush, view)
+    _draw_scale(brush, camera.scale)
+    truth = (("true walls", palette.TRUE_WALL, "dot"), ("true path", palette.TRUE_PATH, "line"))
+    path = (("reference path", palette.TRUE_PATH, "line"),) if len(view.path_world) else ()
+    _draw_legend(brush, (*(truth if known else path), *MAP_LEGEND, _ellipses(view), *_movers(view)))
+    return brush.image(fine=True)
+
+
+def _draw_scale(brush: Brush, scale: float) -> None:
+    """A bar at the lower right corner, at most a quarter of the picture long."""
+    length = max((bar for bar in BARS_M if 4.0 * scale * bar <= brush.size[0]), default=BARS_M[0])
+    right, y = brush.size[0] - MARGIN, brush.size[1] - FOOTER + 12
+    brush.line(np.array([[right - scale * length, y], [right, y]]), palette.INK, 2.5)
+    brush.text(f"{length:g} m", (right - scale * length - 6, y - 6), 18, align=1.0)
+
+
+def _draw_header(brush: Brush, view: SceneView) -> None:
+    size = min(24, max(14, round(HEADER_LETTERS / max(len(view.title), 1))))
+    brush.text(view.title, (MARGIN, 10), size)
+    x = float(brush.size[0] - MARGIN)
+    for name, value in reversed(summary(view.metrics)):
+        x -= brush.text(value, (x, 11), 22, align=1.0) + 5
+        x -= brush.text(name, (x, 13), 18, palette.MUTED, align=1.0) + 16
+
+
+def _draw_legend(brush: Brush, legend: Legend) -> None:
+    x, y = float(MARGIN), brush.size[1] - FOOTER + 6
+    for name, colour, kind in legend:
+        if kind == "dot":
+            brush.dot((x + 6, y + 6), 3.5, colour)
+        elif kind == "square":
+            brush.square((x + 6, y + 6), 4.0, colour, 1.5)
+        else:
+            brush.line(np.array([[x, y + 6], [x + 12, y + 6]]), colour, 2.5)
+        x += 18 + brush.text(name, (x + 18, y), 16, palette.MUTED) + 18
+
+
+def _ellipses(view: SceneView) -> tuple[str, RGB, str]:
+    return f"landmark, 95 % ellipse x {magnification(view.slam_output.belief):.0f}", palette.LANDMARK, "dot"
+
+
+def _movers(view: SceneView) -> Legend:
+    return (("pedestrian, box", palette.MOVER, "square"),) if len(view.moving) else ()
 
 
 def thumbnail(view: SceneView, size: tuple[int, int], title: str, caption: str, scan: bool = False) -> Bytes:

@@ -6,8 +6,10 @@ What a picture is drawn from: plain data, so that no drawing code reaches into t
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
@@ -16,16 +18,15 @@ from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.se2 import compose, polar_to_points, to_map
 from mecp_env.render import palette
 from mecp_env.render.palette import RGB, room_colour
-from mecp_env.slam.messages import Belief, Cell, SemanticGrid
+from mecp_env.slam.messages import Belief, Cell, Decision, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
-# shown name, format, and the names of the metrics it is made of; left out where one of them is missing
-ITEMS = (
-    ("rooms", "{:.0f}/{:.0f}", ("rooms_found", "rooms")),
-    ("doors", "{:.0f}/{:.0f}", ("doors_found", "doors")),
-    ("coverage", "{:.1%}", ("coverage",)),
-    ("pose error", "{:.1f} cm", ("pose_error_cm",)),
-    ("landmarks", "{:.0f}", ("landmarks",)),
+ITEMS = (  # shown name, format; left out where a metric is missing
+    ("rooms", "{rooms_found:.0f}/{rooms:.0f}"),
+    ("doors", "{doors_found:.0f}/{doors:.0f}"),
+    ("coverage", "{coverage:.1%}"),
+    ("pose error", "{pose_error_cm:.1f} cm"),
+    ("landmarks", "{landmarks:.0f}"),
 )
 
 KNOWN_GROUND = 4  # from this `GoalKind` on, goals are on known ground
@@ -73,14 +74,17 @@ class SceneView:
 
 def summary(metrics: Mapping[str, float]) -> list[tuple[str, str]]:
     """Pairs of a name and a readable value, as far as `metrics` has them (`pose_error_m` is shown in cm)."""
-    known = dict(metrics)
-    if "pose_error_m" in known:
-        known["pose_error_cm"] = 100.0 * known["pose_error_m"]
-    return [
-        (name, form.format(*(known[key] for key in keys)))
-        for name, form, keys in ITEMS
-        if all(key in known for key in keys)
-    ]
+    error = {"pose_error_cm": 100.0 * metrics["pose_error_m"]} if "pose_error_m" in metrics else {}
+    return filled(ITEMS, {**metrics, **error})
+
+
+def filled(items: Iterable[tuple[str, str]], metrics: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """Names with filled formats, of those whose metrics there are."""
+    found = list[tuple[str, str]]()
+    for name, form in items:
+        with suppress(KeyError):
+            found.append((name, form.format(**metrics)))
+    return found
 
 
 def loops(segments: Array) -> list[Array]:
@@ -101,6 +105,12 @@ MAGNIFICATIONS = (1.0, 2.0, 5.0, 10.0, 20.0, 50.0)  # of the ellipses of a map; 
 READABLE_M = 0.25  # the usual ellipse is drawn no larger
 CHI2_95 = 5.991  # 2 degrees of freedom
 TURN = np.linspace(0.0, 2.0 * math.pi, 33)[:-1]
+DECISION_COLOURS = {
+    Decision.LANDMARK: palette.ESTIMATE,
+    Decision.PROVISIONAL: palette.DOOR,
+    Decision.NEW: palette.GOAL,
+    Decision.IGNORED: palette.FAINT,
+}
 WIDE = (2.5, 1.0)  # a name is so many times as wide as high
 
 
@@ -110,6 +120,12 @@ def ellipse(mean: Array, cov: Array, magnified: float = 1.0) -> Array:
     radii = magnified * np.sqrt(CHI2_95 * np.maximum(values, 0.0))
     ring: Array = mean + np.column_stack([radii[0] * np.cos(TURN), radii[1] * np.sin(TURN)]) @ axes.T
     return ring
+
+
+def closed(ring: Array) -> Array:
+    """The ring (k,2) as a line (k+1,2) back to its first point."""
+    line: Array = np.vstack([ring, ring[:1]])
+    return line
 
 
 def wall_strips(segments: Array, thick_m: float = 0.12) -> Array:

@@ -21,12 +21,7 @@ from mecp_env.slam.output import SlamOutput
 
 KINDS = {CornerKind.CROSSING: ("o", "crossing"), CornerKind.FREE_END: ("s", "free end"), CornerKind.JAMB: ("D", "jamb")}
 EDGES = {EdgeLabel.WALL: palette.SOLID, EdgeLabel.GAP: palette.DOOR, EdgeLabel.OPEN: palette.GOAL}
-DECISIONS = {
-    Decision.LANDMARK: (palette.ESTIMATE, "o"),
-    Decision.PROVISIONAL: (palette.DOOR, "^"),
-    Decision.NEW: (palette.GOAL, "D"),
-    Decision.IGNORED: (palette.FAINT, "x"),
-}
+MARKS = {Decision.LANDMARK: "o", Decision.PROVISIONAL: "^", Decision.NEW: "D", Decision.IGNORED: "x"}
 DASHES = {EdgeLabel.WALL: "-", EdgeLabel.GAP: (0, (2, 1)), EdgeLabel.OPEN: (0, (5, 2))}
 WIDTH_IN = 7.6  # as wide as the text of a page, whose inch has 96 px
 DPI = 200
@@ -133,8 +128,7 @@ def _ring(point: Array, z: Array, cov: Array) -> Array:
     """The 95 % ellipse of a corner given as range and bearing, in the plane."""
     along, across = point / z[0], np.array([-point[1], point[0]])
     J = np.column_stack([along, across])  # d point / d (range, bearing)
-    ring = shapes.ellipse(point, J @ cov @ J.T, shapes.ELLIPSE_MAGNIFIED)
-    return np.vstack([ring, ring[:1]])
+    return shapes.closed(shapes.ellipse(point, J @ cov @ J.T, shapes.ELLIPSE_MAGNIFIED))
 
 
 def _draw_polygon(axes: Axes, output: SlamOutput) -> None:
@@ -170,9 +164,9 @@ def _draw_association(axes: Axes, output: SlamOutput) -> None:
     known = to_robot(output.T_map_laser, np.ascontiguousarray(belief.p_map))
     axes.plot(*known.T, "+", color=unit(palette.LANDMARK), markersize=9, label="landmark of the map")
     points = polar_to_points(output.corners.z)
-    for decision, (colour, mark) in DECISIONS.items():
-        chosen = match.decision == decision
-        axes.plot(*points[chosen].T, mark, color=unit(colour), fillstyle="none", label=decision.name.lower())
+    for decision, mark in MARKS.items():
+        chosen, colour = match.decision == decision, unit(shapes.DECISION_COLOURS[decision])
+        axes.plot(*points[chosen].T, mark, color=colour, fillstyle="none", label=decision.name.lower())
     for point, name, reason in zip(points, match.ids, match.reason, strict=True):
         words = f"{name} {Reason(int(reason)).name.lower()}" if name >= 0 else Reason(int(reason)).name.lower()
         axes.annotate(words, point, (5, 5), textcoords="offset points", fontsize=8, annotation_clip=True)

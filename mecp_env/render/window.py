@@ -1,13 +1,12 @@
 """The window of the `human` render mode. Only here is a display touched.
 
-The strip below a frame with the meaning of each key.
+The strip below a frame with what the keys do.
 """
 
 from __future__ import annotations
 
 import logging
 import os
-from collections.abc import Sequence
 from functools import cache
 
 import numpy as np
@@ -16,42 +15,18 @@ import pygame
 from mecp_env.core.carriers import Bytes
 from mecp_env.core.errors import ConfigError
 from mecp_env.render import palette
-from mecp_env.render.brush import Box, Brush
+from mecp_env.render.brush import Brush
 
-HEIGHT, MARGIN, CAP = 62, 12, 22  # px: of the strip, at its sides, of a key
-KeyHelp = tuple[Sequence[str], str]  # labels of the keys, what they do
+HEIGHT, MARGIN = 62, 12  # px: of the strip, at its sides
 
 
-def key_strip(width: int, keys: Sequence[KeyHelp], message: str) -> Bytes:
-    """A strip (HEIGHT,width,3): keys with what they do, and below them a message."""
+def key_strip(width: int, keys: str, message: str) -> Bytes:
+    """A strip (HEIGHT,width,3): what the keys do, and below that a message."""
     brush = Brush((width, HEIGHT), palette.PAPER)
     brush.line(np.array([[MARGIN, 1.0], [width - MARGIN, 1.0]]), palette.UNSEEN)
-    x = float(MARGIN)
-    for caps, meaning in keys:
-        for cap in caps:
-            x += _draw_cap(brush, cap, x) + 3
-        x += 4 + brush.text(meaning, (x + 4, 13), 17, palette.mix(palette.INK, palette.FREE, 0.25)) + 16
-    brush.text(message, (MARGIN, 39), 20, palette.INK)
+    brush.text(keys, (MARGIN, 12), 18, palette.MUTED)
+    brush.text(message, (MARGIN, 36), 20)
     return brush.image()
-
-
-def _draw_cap(brush: Brush, cap: str, x: float) -> int:
-    """A key at `x`; how wide it is."""
-    width = CAP if cap in ARROWS else max(CAP, 12 + 7 * len(cap))
-    key = Box(round(x), 7, width, CAP)
-    ring = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * [key.width, key.height] + np.array([key.left, key.top])
-    brush.area(ring, palette.FREE)
-    brush.ring(ring, palette.FAINT)
-    if cap in ARROWS:
-        brush.area(key.middle + ARROWS[cap], palette.INK)
-    else:
-        brush.text(cap, (key.middle[0], key.top + 5), 17, palette.INK, align=0.5)
-    return width
-
-
-POINT = np.array([[0.0, -4.5], [4.5, 3.5], [-4.5, 3.5]])  # a triangle upwards; the font has no arrows
-QUARTER = np.array([[0.0, 1.0], [-1.0, 0.0]])
-ARROWS = {"up": POINT, "right": POINT @ QUARTER, "down": -POINT, "left": -POINT @ QUARTER}
 
 
 log = logging.getLogger(__name__)

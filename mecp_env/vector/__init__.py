@@ -10,7 +10,7 @@ import gymnasium
 
 from mecp_env.core.processes import WorkerDied, WorkerError
 from mecp_env.vector.batch import BatchEnv
-from mecp_env.vector.hosted import check_integer
+from mecp_env.vector.checks import check_integer
 
 __all__ = ["BatchEnv", "WorkerDied", "WorkerError", "make_batch"]
 

@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks import crowd_speed, polygon_speed, speed
 from benchmarks.in_tree import BEAMS
-from mecp_env.cli.stopwatch import STAGE_NAMES, STAGES, timed_stages
+from benchmarks.stopwatch import STAGE_NAMES, STAGES, timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline, random_free_pose

@@ -23,14 +23,6 @@ def script(shell: str, capsys: Captured) -> str:
     return capsys.readouterr().out
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_the_script_has_every_command_and_options(shell: str, capsys: Captured) -> None:
-    text = script(shell, capsys)
-    assert [word for words in cli.COMMANDS for word in words.split() if word not in text] == []
-    assert "--save-map" in text or "save-map" in text
-
-
 @pytest.mark.skipif(shutil.which("bash") is None, reason="runs bash")
 def test_bash_completes_commands_and_options(tmp_path: Path, capsys: Captured) -> None:
     file = tmp_path / "completion"

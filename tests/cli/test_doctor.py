@@ -1,7 +1,6 @@
 """`mecp-env doctor`: passed checks, messages about a faulty machine, exit codes."""
 
 from collections.abc import Iterator
-from importlib import metadata
 from pathlib import Path
 
 import numba
@@ -21,7 +20,7 @@ def test_a_sound_machine_passes(monkeypatch: pytest.MonkeyPatch, capsys: Said) -
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     assert cli.main(["doctor", "--seconds", "0.1"]) == 0
     said = capsys.readouterr().out
-    for name in ("Python", "numba", "pygame-ce", "function cache", "display", "numba threading", "self-test: drive"):
+    for name in ("Python", "numba", "pygame-ce", "function cache", "display", "self-test: drive"):
         assert f"PASS  {name} " in said
     assert said.splitlines()[-1].endswith("0 FAIL")
 
@@ -44,14 +43,6 @@ def test_a_failure_gives_exit_code_1_and_the_rest_is_still_checked(
     assert said.splitlines()[-1] == "1 PASS, 1 WARN, 1 FAIL"
 
 
-@pytest.mark.parametrize("seconds", ["0", "nan", "1e9"])
-def test_a_wrong_length_is_refused(seconds: str, capsys: Said) -> None:
-    assert cli.main(["doctor", f"--seconds={seconds}"]) == 2
-    err = capsys.readouterr().err
-    assert err.startswith("mecp-env: --seconds: Input should be ")
-    assert "equal to 0.1 (given" in err or "equal to 600 (given" in err
-
-
 @pytest.mark.parametrize(
     ("needed", "verdict", "fix"),
     [
@@ -63,14 +54,6 @@ def test_a_wrong_length_is_refused(seconds: str, capsys: Said) -> None:
 def test_a_dependency_is_there_too_old_or_missing(needed: str, verdict: str, fix: str) -> None:
     found = doctor.dependency(Requirement(needed))
     assert (found.verdict, found.fix) == (verdict, fix)
-
-
-def test_the_dependencies_are_known_without_an_installation(monkeypatch: pytest.MonkeyPatch) -> None:
-    def missing(name: str) -> list[str]:
-        raise metadata.PackageNotFoundError(name)
-
-    monkeypatch.setattr(metadata, "requires", missing)
-    assert any(text.startswith("numba") for text in doctor.required())
 
 
 @pytest.fixture

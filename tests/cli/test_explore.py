@@ -8,7 +8,6 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.base import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam import MapError, SlamPipeline
-from mecp_env.world.layout import LIBRARY
 from tests.cli.pipes import closed_pipe
 
 Captured = pytest.CaptureFixture[str]
@@ -65,47 +64,6 @@ def test_difficulty_task_and_split_name_the_building_that_evaluate_names(capsys:
     assert "out of steps after 5 control steps" in shown[0]
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ("--layout easy:test", "easy:test: seeds are whole numbers"),
-        ("--layout easy:test:0-3", "'easy:test:0-3', expected DIFFICULTY:SPLIT:NUMBER"),
-        ("--layout esy:test:1", "did you mean 'easy'?"),
-        ("--layout ActiveHall-v0:test:1", "did you mean 'ActiveHalls-v0'?"),
-        ("--layout easy:tst:1", "did you mean 'test'?"),
-        ("--layout easy:test:1000000", "building: 1000000"),
-        ("--layout a\x1b[31mb", "a?[31mb: no such file"),
-        ("--layout two_rooms --steps 0", "--steps: Input should be greater than or equal to 1 (given: 0)"),
-        ("--layout paper --difficulty hard", "--difficulty hard: --layout paper fixes it"),
-        ("--difficulty hard --task ActiveHalls-v0", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
-        ("--difficulty hrd", "did you mean 'hard'?"),
-        ("--task ActiveHall-v0", "did you mean 'ActiveHalls-v0'?"),
-        ("--difficulty hard --split tst", "did you mean 'test'?"),
-        ("--split test", "of the buildings of --difficulty or --task"),
-        ("--policy", "did you mean 'nearest'?"),
-        ("--layout plan.json --save-map .", "--save-map: . is a folder, not a file"),
-        ("--layout plan.json --save-map plan.json/map.zip", "plan.json is a file, not a folder"),
-        ("--layout plan.json --save-map plan.json", "plan.json is what is read"),
-        ("--layout plan.json --save-map notes.txt", "notes.txt: no mecp_env map, or cut short; name another file"),
-        ("--save-map map.zip --estimator known", "map.zip: a map of the estimator 'known' localises with ground truth"),
-    ],
-)
-def test_wrong_input_ends_with_2_and_one_line_and_changes_nothing(
-    options: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    files = {"plan.json": (LIBRARY / "two_rooms.json").read_bytes(), "notes.txt": b"mine"}
-    for name, data in files.items():
-        Path(name).write_bytes(data)
-    line = ["nearst"] if options == "--policy" else ["nearest", *options.split()]
-    assert cli.main(["explore", *line]) == 2
-    err = capsys.readouterr().err
-    assert message in err
-    assert err.startswith("mecp-env: ")
-    assert err.count("\n") == 1
-    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == files
-
-
 def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: Captured) -> None:
     path = tmp_path / "new" / "two_rooms.zip"
     line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(path)]
@@ -113,7 +71,7 @@ def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: C
     assert f"map: {path}" in capsys.readouterr().out
     with closed_pipe():
         assert cli.main(line) == 0  # a map replaces a map, also where the reader has gone
-    assert capsys.readouterr().err.count("the output pipe is closed") == 1
+    assert not capsys.readouterr().err
     loaded = SlamPipeline.from_map(path)
     assert loaded.step_count == 13  # three scans at rest
     assert len(loaded.filter.ids) >= 4

@@ -1,4 +1,4 @@
-"""Options that take several words may be given again: the words add up."""
+"""Options that take several words may be given again: the words add up. Weights of a reward stand for its preset."""
 
 import re
 from typing import Any
@@ -8,6 +8,7 @@ import pytest
 from benchmarks.__main__ import parser
 from mecp_env.cli import main as cli
 from mecp_env.cli.base import LISTS, Line
+from mecp_env.cli.options import with_reward_preset
 from mecp_env.config import REWARDS
 
 Captured = pytest.CaptureFixture[str]
@@ -64,3 +65,17 @@ def test_a_benchmark_has_all_words() -> None:
         given = parser().parse_args(["association", f"--{option}", "a", "b", "--jobs", "2", f"--{option}", "c"])
         assert getattr(given, field) == ["a", "b", "c"]
         assert getattr(parser().parse_args(["association"]), field) == []
+
+
+@pytest.mark.parametrize(
+    ("line", "preset"),
+    [
+        (["--env.reward.completion", "1"], "--env.reward.preset"),
+        (["--config.reward.a-optimality=2"], "--config.reward.preset"),
+        ([], None),
+        (["--env.reward.custom", "own", "1"], None),
+        (["--env.reward.source", "truth"], None),
+    ],
+)
+def test_weights_of_the_reward_without_a_preset_stand_for_terms(line: list[str], preset: str | None) -> None:
+    assert with_reward_preset(Line(["ppo", *line])) == ("ppo", *line, *([preset, "terms"] if preset else []))

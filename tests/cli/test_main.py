@@ -11,19 +11,15 @@ import pytest
 import shapely
 from PIL import Image
 
-import mecp_env
 from mecp_env.cli import main as cli
-from mecp_env.cli.base import Line
 from mecp_env.cli.demo import Demo
-from mecp_env.cli.options import Fields, configuration
+from mecp_env.cli.options import configuration
 from mecp_env.cli.runs import Run
-from mecp_env.cli.stopwatch import Stopwatch
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
 from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans import load_plan
 from mecp_env.slam import SlamPipeline
-from mecp_env.slam.config import SlamConfig
 from mecp_env.world.outline import build_outline
 from tests.cli.pipes import closed_pipe
 
@@ -32,8 +28,7 @@ DATA = {"metrics.json", "trajectory.tum", "truth.tum", "config.json"}
 FILES = {*DATA, "map.png", "curves.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"}
 FIGURES = (
     "rooms rooms_found doors doors_found coverage grid_iou pose_rmse_m pose_error_final_m nees_mean map_rmse_m "
-    "landmarks_false association_precision association_recall duplicates contacts periods metres steps_per_s "
-    "us_per_period"
+    "landmarks_false association_precision association_recall duplicates contacts periods metres steps_per_s"
 )
 
 
@@ -57,7 +52,6 @@ def test_the_demo_explores_the_small_layout_and_leaves_its_files(kept: Path) -> 
     assert metrics["ended"] == "complete"
     assert (metrics["rooms_found"], metrics["doors_found"]) == (2, 1)
     assert metrics["coverage"] > 0.95
-    assert all(np.isfinite(value) for value in metrics["us_per_period"].values())
     with Image.open(kept / "run.gif") as film, Image.open(kept / "map.png") as picture:
         assert film.n_frames > 3
         assert picture.size[0] > 1000
@@ -80,7 +74,7 @@ def test_the_paths_the_believed_map_and_the_saved_map_agree(kept: Path) -> None:
 def test_the_recipe_reproduces_the_run(kept: Path) -> None:
     recipe = json.loads((kept / "config.json").read_text())
     run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
-    run.explore(lambda run: None)
+    run.explore()
     assert tum(0.4 * np.arange(len(run.estimated)), run.estimated) == (kept / "trajectory.tum").read_text()
     assert run.env.view().title == f"two_rooms, slam, step {metrics_of(kept)['periods']}"  # the title of map.png
 
@@ -108,25 +102,25 @@ def test_a_demo_whose_reader_is_gone_keeps_its_files(tmp_path: Path, capsys: Sai
     with closed_pipe():
         assert cli.main(line) == 0
     assert {path.name for path in tmp_path.iterdir()} == FILES - {"replay.html"}
-    assert capsys.readouterr().err.count("the output pipe is closed") == 1
+    assert not capsys.readouterr().err
 
 
 @pytest.fixture(scope="module")
 def explored() -> Run:
     run = Run(MecpEnv(EnvConfig.build(layout="two_rooms", max_steps=40)), seed=3)
-    run.explore(lambda _: None)
+    run.explore()
     return run
 
 
 def keep(run: Run, folder: Path) -> None:
     """Write all files of a run."""
-    run.keep_data(folder, Stopwatch())
+    run.keep_data(folder)
     run.keep_pictures(folder)
 
 
 @pytest.mark.parametrize(
     ("bytes_left", "name"),
-    [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (100_000, "map.png")],
+    [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (40_000, "map.png")],
 )
 def test_a_full_disk_names_the_file_and_keeps_the_data(
     bytes_left: int, name: str, explored: Run, tmp_path: Path
@@ -165,59 +159,6 @@ def test_the_run_can_be_watched_and_an_interruption_keeps_what_there_is(
     assert (metrics_of(tmp_path / "run")["ended"], metrics_of(tmp_path / "run")["periods"]) == ("interrupted", 5)
 
 
-@pytest.mark.parametrize(
-    ("line", "code", "said"),
-    [
-        ("", 2, "demo"),
-        ("dmo", 2, "did you mean `mecp-env demo`?"),
-        ("demo --seed first", 2, "first"),
-        ("demo --config.slam.filter.kindd ekf", 2, "--config.slam.filter.kind"),
-        ("demo --config.slam.filter.kind ukf", 2, "riekf"),
-        ("demo --config.max-steps 0", 2, "Error parsing config: --config.max_steps: Input"),
-        ("demo --render holo", 2, "human"),
-        ("--help", 0, "one-scan"),
-        ("--version", 0, mecp_env.__version__),
-        ("demo --help", 0, "mecp-env demo --layout office"),
-    ],
-)
-def test_a_line_that_nothing_is_run_for_says_why(line: str, code: int, said: str, capsys: Said) -> None:
-    with pytest.raises(SystemExit) as ended:
-        cli.main(line.split())
-    assert ended.value.code == code
-    streams = capsys.readouterr()
-    assert said in streams.err + streams.out
-
-
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        ("demo --layout easy:0-3", "layout: easy:0-3 is 4 buildings; name one building, as easy:0"),
-        ("demo --layout plans", "layout: plans is 2 buildings; name one building, as plans/a.json"),
-        ("demo --layout=", "''"),
-        ("demo --layout castle", "castle: no such file or building; there are furnished, office, paper, twins, two_"),
-        ("one-scan --layout easy", "easy: which buildings?"),
-        ("slam a.log --laser-yaw-deg 400", "--laser-yaw-deg: Input should be less than or equal to 180 (given: 400.0)"),
-        ("one-scan --step -5", "--step: Input should be greater than or equal to 0 (given: -5)"),
-        ("demo --layout two_rooms --seed -1", "--seed: Input should be greater than or equal to 0 (given: -1)"),
-        ("demo --layout two_rooms --out plans/a.json/run", "--out: "),
-        ("demo --layout two_rooms --render human", "render_mode: 'human' can open no window"),
-    ],
-)
-def test_wrong_input_ends_with_2_and_one_line_before_anything_is_written(
-    line: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
-    (tmp_path / "plans").mkdir()
-    for name in ("a", "b"):
-        (tmp_path / "plans" / f"{name}.json").touch()
-    assert cli.main(line.split()) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"mecp-env: {said}")
-    assert told.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["plans"]
-
-
 def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
 ) -> None:
@@ -231,14 +172,6 @@ def test_a_machine_without_a_display_is_told_from_a_window_nobody_sees(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_every_command_can_be_loaded_and_has_examples() -> None:
-    for words in cli.COMMANDS:
-        about, examples = cli.load(words).help()
-        assert about.endswith(".")
-        assert examples
-        assert all(example.startswith(f"mecp-env {words}") for example in examples)
-
-
 def test_the_overview_loads_no_command_and_the_package_runs_as_a_module() -> None:
     code = "import sys; from mecp_env.cli import main; main.overview(''); print(*sys.modules)"
     loaded = set(subprocess.run([sys.executable, "-c", code], capture_output=True, text=True).stdout.split())
@@ -247,15 +180,6 @@ def test_the_overview_loads_no_command_and_the_package_runs_as_a_module() -> Non
     for module in ("mecp_env", "mecp_env.cli.main"):
         done = subprocess.run([sys.executable, "-m", module, "--help"], capture_output=True, text=True, check=True)
         assert "one-scan" in done.stdout
-
-
-def test_only_changed_fields_are_set_so_that_the_rest_follows_the_laser() -> None:
-    fields = Fields(laser={"preset": "lms200"}, slam=SlamConfig(filter={"kind": "ekf"}))
-    line = ["--config.laser.preset", "lms200", "--config.slam.filter.kind=ekf"]
-    config = configuration("office", fields, Line(line))
-    assert (config.layout, config.slam.filter.kind) == ("office", "ekf")
-    assert config.estimator_config.sensor.range_sigma_m == pytest.approx(0.01)
-    assert configuration("two_rooms", Fields(), Line()) == EnvConfig(layout="two_rooms")
 
 
 def test_a_field_set_to_its_default_is_set() -> None:
@@ -267,19 +191,3 @@ def test_a_field_set_to_its_default_is_set() -> None:
     assert config.estimator_config.sensor.range_sigma_m == 0.05
     assert config.estimator_config.sensor.bearing_sigma_deg == 0.0  # follows the laser
     assert not config.slam.polygon.check_walls
-
-
-@pytest.mark.usefixtures("draft_figures")
-def test_one_scan_draws_a_picture_a_stage(tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert cli.main(["worlds", "convert", "two_rooms", str(tmp_path / "plan.yaml")]) == 0
-    line = ["one-scan", "--layout", str(tmp_path / "plan.yaml"), "--out", str(tmp_path), "--step"]
-    assert cli.main([*line, "3"]) == 0
-    assert len(list(tmp_path.glob("*.png"))) == 6
-    assert cli.main([*line, "99999"]) == 2
-    assert "step" in capsys.readouterr().err
-
-    def stop(*_: object) -> None:
-        raise KeyboardInterrupt
-
-    monkeypatch.setattr("mecp_env.cli.demo.recognition", stop)
-    assert cli.main(["one-scan"]) == 130

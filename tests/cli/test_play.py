@@ -51,13 +51,10 @@ def script(monkeypatch: pytest.MonkeyPatch, *ticks: list[tuple[int, Key]]) -> No
 @pytest.mark.parametrize(
     ("keys", "action"),
     [
-        ([pygame.K_UP], (1.0, 0.0)),
-        ([pygame.K_s], (-1.0, 0.0)),
         ([pygame.K_w, pygame.K_LEFT], (1.0, 0.5)),
         ([pygame.K_d], (0.0, -0.5)),
         ([pygame.K_UP, pygame.K_DOWN], (0.0, 0.0)),
         ([pygame.K_UP, pygame.K_LSHIFT], (0.35, 0.0)),
-        ([pygame.K_SPACE], (0.0, 0.0)),
     ],
 )
 def test_keys_are_shares_of_speed_and_turn(game: Game, keys: list[Key], action: tuple[float, float]) -> None:
@@ -174,23 +171,3 @@ def test_next_walks_through_a_folder_and_tells_of_a_damaged_plan(
     assert f"paper, slam, step 0: Round 2 cannot begin, N takes the next: {tmp_path}/q.json: no JSON" in told[0]
     assert told[1].startswith("two_rooms, slam, step 0: Time stands still")
     assert capsys.readouterr().out.startswith("paper, slam, step 0")
-
-
-@pytest.mark.parametrize(
-    ("line", "named"),
-    [
-        (["--layout", "castle"], "castle"),
-        (["--seed", "-1"], "--seed: Input should be greater than or equal to 0 (given: -1)"),
-        (["--rate", "0"], "--rate: Input should be greater than or equal to 0.5 (given: 0.0)"),
-        (["--config.start", "50", "50", "0"], "start: (50.0, 50.0, 0.0)"),
-    ],
-)
-def test_wrong_input_ends_with_2(line: list[str], named: str, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
-    script(monkeypatch)
-    assert cli.main(["play", *line]) == 2
-    said = capsys.readouterr().err
-    assert named in said
-    assert said.count("\n") == 1
-    monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
-    assert cli.main(["play"]) == 2
-    assert "DISPLAY" in capsys.readouterr().err

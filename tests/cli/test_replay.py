@@ -33,21 +33,3 @@ def test_a_run_without_a_page_is_explored_again(folder: Path, tmp_path: Path) ->
     finally:
         (tmp_path / "page.html").rename(folder / "replay.html")
     assert read_page(tmp_path / "again.html") == wanted
-
-
-@pytest.mark.parametrize(
-    ("make", "words"),
-    [
-        (lambda path: None, "there is no such file or folder"),
-        (lambda path: path.mkdir(), "neither replay.html nor a config.json"),
-        (lambda path: path.write_text("hello"), "no replay of mecp_env"),
-        (
-            lambda path: (path.mkdir(), (path / "config.json").write_text('{"log": "x.log"}')),
-            "no run of `mecp-env demo`",
-        ),
-    ],
-)
-def test_what_is_no_run_is_refused(make, words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    make(tmp_path / "run")
-    assert main(["replay", str(tmp_path / "run")]) == 2
-    assert words in capsys.readouterr().err

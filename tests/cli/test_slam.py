@@ -13,9 +13,8 @@ from mecp_env.cli import main as cli
 from mecp_env.cli import runs
 from mecp_env.evaluation import log_run
 from mecp_env.floorplans import load_plan
-from mecp_env.slam.map_file import MapError, SlamMap
+from mecp_env.slam.map_file import SlamMap
 from mecp_env.slam.pipeline import SlamPipeline
-from tests.cli.pipes import closed_pipe
 from tests.logs.files import write_archive, write_bag, write_carmen
 from tests.logs.simulated import write_simulated
 
@@ -236,35 +235,6 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
     assert metrics_of(out)["ended"] == "interrupted"
     assert metrics_of(out)["scans"] == 20
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
-
-
-@pytest.mark.slow
-def test_a_full_disk_keeps_the_data(log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said) -> None:
-    def save(*_: object) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(runs, "save", save)
-    out, saved = tmp_path / "run", tmp_path / "map.zip"
-    assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 2
-    assert {"metrics.json", "config.json", "trajectory.tum", "truth.tum"} <= {path.name for path in out.iterdir()}
-    assert saved.exists()
-    assert f"{out / 'map.png'}: No space left" in capsys.readouterr().err
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_figures")
-def test_a_map_that_cannot_be_saved_and_a_reader_that_is_gone_lose_nothing_else(
-    log: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    def save_map(self: SlamPipeline, path: Path) -> None:
-        raise MapError("map: damaged")
-
-    monkeypatch.setattr(SlamPipeline, "save_map", save_map)
-    out, saved = tmp_path / "run", tmp_path / "map.zip"
-    with closed_pipe():
-        assert cli.main(["slam", str(log), "--out", str(out), "--save-map", str(saved)]) == 1
-    assert {path.name for path in out.iterdir()} == FILES
-    assert f"{saved} was not written" in capsys.readouterr().err
 
 
 @pytest.mark.slow

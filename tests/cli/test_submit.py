@@ -132,25 +132,6 @@ def test_no_name_adds_a_line_or_a_column() -> None:
     assert [line.split(" |")[0] for line in lines] == ["| gain, b", "| gain (reference)"]  # one that repeats it is out
 
 
-@pytest.mark.parametrize(
-    ("line", "message"),
-    [
-        ("nearest --suite active-v1 --quick", "--suite active-v1: --quick fixes it; leave out one of the two"),
-        ("nearest --suite active-v9", "did you mean 'active-v1'"),
-        ("nearest --quick --out x.txt", "x.txt: expected the name of a file that ends in .json"),
-        ("nearest --quick --hours nan", "--hours"),
-        ("nearest --quick --seeds 0", "--seeds"),
-        (f"{__name__}:TwoActions --suite toy-v1", "settings of actions 'velocity', but its `actions` are 'goal'"),
-    ],
-)
-def test_wrong_options_are_refused(
-    line: str, message: str, toy: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Captured
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert cli.main(["submit", *line.split()]) == 2
-    assert message in capsys.readouterr().err
-
-
 @pytest.mark.parametrize("name", SUITES)
 def test_the_package_contains_reference_rows_of_each_suite(name: str) -> None:
     rows = reference_rows(name, SUITES[name].frozen)

@@ -157,66 +157,6 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
     assert "away.json: a link that leaves the folder" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize(
-    ("line", "named"),
-    [
-        ("draw", "name at least one building"),
-        ("draw castle", "castle: no such file or building; there are furnished"),
-        ("draw ofice", "did you mean 'office'?"),
-        ("draw medium:9-0", "medium:9-0: the first seed comes first, as medium:0-9"),
-        ("draw medium:0-99999", "100000 buildings"),
-        ("draw medium:0-x", "medium:0-x: seeds are whole numbers, as medium:7"),
-        ("draw easy:99999999999999999999", "18 digits at most"),
-        ("draw easy:0-100", "101 buildings cannot be drawn on one sheet"),
-        ("draw office --out plan.jpg", "plan.jpg: a picture ends in .png or .svg"),
-        ("draw .", "no file in it ends in .json"),
-        ("validate", "name at least one building"),
-        ("generate --count 0", "--count: Input should be greater than or equal to 1 (given: 0)"),
-        ("generate --count 2 --out one.json", "one.json is one file for 2 buildings"),
-        ("generate --out plans.yaml", "plans.yaml is the name of a file, not of a folder"),
-        ("generate --count 101 --sheet sheet.png", "101 buildings"),
-        ("generate --split test --seed 998 --count 5", "seed: 998, with count 5 up to index: 1002"),
-        ("convert office office.txt", ".json, .yaml, .svg"),
-        ("convert easy:0-1 two.json", "source: easy:0-1 is 2 buildings; name one building, as easy:0"),
-        ("convert paper new/paper.svg/below/x.json", "paper.svg is the name of a file, not of a folder"),
-        ("convert office map.yaml --map-resolution-m 2", "mecp-env: map_resolution_m: from 0.005 to 1 m"),
-        ("convert paper new/below/map.yaml --map-resolution-m 0.5", "mecp-env: map_resolution_m: "),
-    ],
-)
-def test_wrong_input_ends_with_2_and_one_line_and_leaves_nothing(
-    line: str, named: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Said
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert run(*line.split()) == 2
-    said = capsys.readouterr().err
-    assert named in said
-    assert said.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize(
-    ("line", "named"),
-    [
-        ("generate --difficulty medum", "did you mean 'medium'?"),
-        ("generate --pieces box --shapes LL", "did you mean 'L'?"),
-        ("generate --rooms 201", "rooms"),
-        ("generate --roms 6", "--rooms"),
-        ("drwa office", "did you mean `mecp-env worlds draw`?"),
-        ("", "worlds stats"),
-    ],
-)
-def test_a_wrong_option_ends_with_2_and_names_it(line: str, named: str, capsys: Said) -> None:
-    assert run(*line.split()) == 2
-    assert named in capsys.readouterr().err
-
-
-def test_help_shows_what_the_difficulty_has(capsys: Said) -> None:
-    assert run("generate", "--difficulty", "huge", "--help") == 0
-    assert "(default: 40)" in capsys.readouterr().out
-    assert run("draw", "--help") == 0
-    assert "(default: )" not in capsys.readouterr().out
-
-
 @pytest.mark.parametrize("name", ["a$b_$^{ nul\0l\x1b[2J", "部屋 <&--> é\n[red]m[/]", "x" * 80])
 def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Said) -> None:
     fields = json.loads(load_layout("two_rooms").to_json())
@@ -250,16 +190,6 @@ def test_a_file_of_strangers_does_not_speak_to_the_terminal(content: str, tmp_pa
     assert all(sign.isprintable() for sign in (said.out + said.err).replace("\n", ""))
     assert "plan?[2J.json" in said.out
     assert len([line for line in said.err.splitlines() if line]) == 3
-
-
-@pytest.mark.parametrize("command", [["demo"], ["one-scan"], ["play"], ["worlds", "generate"]])
-def test_a_folder_that_is_a_file_is_told_before_the_work(command: list[str], tmp_path: Path, capsys: Said) -> None:
-    """Seen: the demo reported this after the exploration, which was lost."""
-    (tmp_path / "out").write_text("kept")
-    assert cli.main([*command, "--out", str(tmp_path / "out")]) == 2
-    said = capsys.readouterr()
-    assert said.err == f"mecp-env: --out: {tmp_path / 'out'} is a file, not a folder; choose another place\n"
-    assert (said.out, (tmp_path / "out").read_text()) == ("", "kept")
 
 
 def test_the_options_of_a_plan_are_options_of_the_commands(tmp_path: Path, capsys: Said) -> None:

@@ -62,7 +62,7 @@ def test_the_processes_of_environments_and_one_that_dies():
     pair.close()
 
 
-def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
+def test_a_reader_that_goes_does_not_end_the_run(tmp_path, monkeypatch):
     """Seen: `train ... | head -1` ended early with exit code 0."""
     reading, writing = os.pipe()
     os.close(reading)
@@ -70,7 +70,6 @@ def test_a_reader_that_goes_does_not_end_the_run(tmp_path, capsys, monkeypatch):
         monkeypatch.setattr("sys.stdout", output)
         folder, code = run(tmp_path, steps=12)
     assert code == 0
-    assert capsys.readouterr().err.count("the output pipe is closed") == 1
     assert made_in(folder)[-1] == 12
 
 

@@ -92,7 +92,7 @@ def resume(folder: Path, *words: str) -> int:
 
 def _command(train: Train, line: list[str], words: tuple[str, ...]) -> int:
     """The exit code of `mecp-env train`; a line without `words` is not parsed, which takes a third of a second."""
-    return cli.main(["train", *line]) if words else run_command(lambda: cli.run(train, Line(line)))
+    return cli.main(["train", *line]) if words else run_command(lambda: train.run(Line(line)))
 
 
 def start(launcher: Launcher, *words: str) -> Process:

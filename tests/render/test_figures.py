@@ -1,15 +1,14 @@
 """Figures: they can be written, show what they must, and the same data give the same file."""
 
 from dataclasses import replace
-from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from matplotlib.figure import Figure
-from PIL import Image
 
-from mecp_env.render import shapes
-from mecp_env.render.figures import map_figure, save
+from mecp_env.render import palette, shapes
+from mecp_env.render.brush import Brush
+from mecp_env.render.screen import map_picture
 from mecp_env.render.shapes import summary
 from mecp_env.render.stages import stage_figures
 from mecp_env.slam.messages import EdgeLabel
@@ -17,22 +16,28 @@ from tests.render import scene
 from tests.slam import make
 
 
-def words(figure: Figure) -> str:
-    legends = [text.get_text() for legend in figure.legends for text in legend.get_texts()]
-    return " ".join([text.get_text() for text in figure.findobj(match=lambda a: hasattr(a, "get_text"))] + legends)
+def test_the_map_shows_truth_and_belief_and_is_drawn_twice_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    written, write = list[str](), Brush.text
 
+    def noted(brush: Brush, words: str, *more: Any, **how: Any) -> float:
+        written.append(words)
+        return write(brush, words, *more, **how)
 
-def test_the_map_names_its_rooms_and_figures_and_is_written_twice_the_same(tmp_path: Path) -> None:
-    figure = map_figure(scene.view())
-    assert all(name in words(figure) for name in ("room 0", "room 1", "rooms 1/2", "coverage 73.1%", "2 m"))
-    save(figure, tmp_path / "a.png", dpi=60)
-    save(map_figure(scene.view()), tmp_path / "b.png", dpi=60)
-    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
-    assert np.asarray(Image.open(tmp_path / "a.png")).std() > 10.0
+    monkeypatch.setattr(Brush, "text", noted)
+    picture = map_picture(scene.view())
+    assert {"room 0", "room 1", "rooms", "1/2", "73.1%", "2 m", "true walls", "true path"} <= set(written)
+    assert picture.shape[1] == 2400
+    assert np.array_equal(picture, map_picture(scene.view()))
+    for colour in (palette.TRUE_WALL, palette.TRUE_PATH, palette.ESTIMATE, palette.LANDMARK, palette.DOOR):
+        assert (picture == colour).all(axis=2).any(), colour
     output = scene.output()
     belief = make.belief(output.belief.T_map_robot, pose_cov=output.belief.pose_cov)
     empty = replace(output, belief=belief, map_polygons=(), graph=replace(output.graph, doors=(), candidates=()))
-    save(map_figure(scene.view(slam_output=empty)), tmp_path / "empty.png", dpi=40)
+    assert map_picture(scene.view(slam_output=empty)).std() > 10.0
+    written.clear()
+    log = map_picture(scene.view(segments=np.empty((0, 2, 2)), path_world=np.empty((0, 2))))
+    assert not {"true walls", "true path", "reference path"} & set(written)
+    assert (log == palette.SOLID).all(axis=2).any()
     short = summary({"rooms_found": 3, "rooms": 9, "pose_error_m": 0.0204})
     assert short == [("rooms", "3/9"), ("pose error", "2.0 cm")]  # what is not known is left out
 

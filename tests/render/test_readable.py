@@ -18,9 +18,9 @@ from mecp_env.core.carriers import Array
 from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.brush import Brush
-from mecp_env.render.figures import curves_figure, drawn, map_figure
+from mecp_env.render.figures import curves_figure, drawn
 from mecp_env.render.plan_figures import plans_figure
-from mecp_env.render.stages import DECISIONS, KINDS, stage_figures
+from mecp_env.render.stages import KINDS, MARKS, stage_figures
 from mecp_env.slam.messages import EdgeLabel
 from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.generator import generate
@@ -92,7 +92,7 @@ def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as
     lines = [line for line in panels.axes[0].get_lines() if line.get_marker() not in ("_", "|")]
     assert len({(line.get_marker(), line.get_linestyle()) for line in lines}) == 6
     assert len(set(palette.SERIES)) == len(palette.MARKERS)
-    for marks in ([mark for _, mark in DECISIONS.values()], [mark for mark, _ in KINDS.values()], palette.MARKERS):
+    for marks in (MARKS.values(), [mark for mark, _ in KINDS.values()], palette.MARKERS):
         assert len(set(marks)) == len(marks)
 
 
@@ -114,17 +114,6 @@ def test_axes_have_units_and_curves_are_those_that_a_run_has() -> None:
     legends = [axes.get_legend() for axes in log.axes]
     named = [[text.get_text() for text in legend.get_texts()] if legend else [] for legend in legends]
     assert named == [["3 sigma"], [], [], ["landmarks"]]
-
-
-def test_the_map_names_only_what_it_has() -> None:
-    everything = legend_of(map_figure(scene.view()))
-    assert "door" in everything
-    graph = replace(scene.output().graph, doors=(), candidates=())
-    bare = legend_of(map_figure(scene.view(slam_output=replace(scene.output(), graph=graph, map_polygons=()))))
-    assert set(everything) - set(bare) >= {"door", "polygons of a room"}
-    assert "true path" in everything
-    log = legend_of(map_figure(scene.view(segments=np.empty((0, 2, 2)), path_world=np.empty((0, 2)))))
-    assert not {"true walls", "true path", "reference path"} & set(log)
 
 
 def test_polygons_of_a_scan_that_overlap_are_no_darker() -> None:

@@ -12,16 +12,15 @@ import numpy as np
 import pytest
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.browser import Browser, chromium
+from benchmarks.browser import Browser
 from mecp_env.core.errors import ConfigError
 from mecp_env.render import replay
 from mecp_env.render.replay import Recorder, ReplayError, read_page, write_page
-from mecp_env.render.replay_page import PackedGrid, changed_cells, changed_rows
+from mecp_env.render.replay_page import PackedGrid, changed_cells
 from mecp_env.wrappers import RecordReplay
+from tests.render.browsing import needs_browser, shown
 
-DRAWN = "Number(document.body?.dataset.drawn) > 0"
 CLOCK = "document.getElementById('clock').textContent"
-needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
 
 
 def cells_at_the_end(run: dict[str, Any]) -> np.ndarray:
@@ -78,19 +77,6 @@ def test_a_long_run_keeps_evenly_spaced_steps(kept: tuple[Path, list[Any]], monk
     assert np.unique(np.diff(steps)).tolist() == [some.every]
     assert run["frames"][1]["time"] == round(40 * some.every)
     assert (cells_at_the_end(run) > 0).sum() == (some.frames[-1].grid.codes > 0).sum()
-
-
-def test_what_hardly_changed_is_not_written_again() -> None:
-    rows = [
-        {1: [0, 0, 100, 0, 100], 2: [5, 5, 9, 0, 9]},
-        {1: [0, 0, 101, 0, 99], 2: [5, 6, 9, 0, 9]},
-        {1: [0, 0, 60, 0, 60]},
-    ]
-    assert list(changed_rows(rows)) == [
-        [[1, 0, 0, 100, 0, 100], [2, 5, 5, 9, 0, 9]],
-        [[2, 5, 6, 9, 0, 9]],
-        [[2], [1, 0, 0, 60, 0, 60]],
-    ]
 
 
 def test_a_grid_that_grows_keeps_its_place() -> None:
@@ -157,9 +143,7 @@ def test_an_environment_with_velocities_is_recorded_too(tmp_path: Path) -> None:
 @needs_browser
 @pytest.mark.parametrize("width", [1280, 390])
 def test_a_browser_plays_it_without_complaint(kept: tuple[Path, list[Any]], width: int, tmp_path: Path) -> None:
-    with Browser(width) as browser:
-        browser.show(kept[0], "#t=2")
-        browser.wait(DRAWN)
+    with shown(kept[0], "#t=2", width=width) as browser:
         assert browser.ask(CLOCK).startswith("2.0 s, step 5 of")
         browser.press("ArrowRight")
         assert browser.ask(CLOCK).startswith("2.4 s, step 6 of")
@@ -178,9 +162,7 @@ def test_a_browser_plays_it_without_complaint(kept: tuple[Path, list[Any]], widt
 @needs_browser
 def test_the_pointer_tells_why(kept: tuple[Path, list[Any]]) -> None:
     run = read_page(kept[0])
-    with Browser() as browser:
-        browser.show(kept[0])
-        browser.wait(DRAWN)
+    with shown(kept[0]) as browser:
         box = browser.ask("JSON.parse(JSON.stringify(document.getElementById('belief').getBoundingClientRect()))")
         spots = [(x, y) for x in range(10, int(box["width"]), 20) for y in range(10, int(box["height"]), 20)]
         said = set()

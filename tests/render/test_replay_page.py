@@ -10,19 +10,18 @@ import numpy as np
 import pytest
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.browser import Browser, chromium
+from benchmarks.browser import Browser
 from mecp_env.render import palette
 from mecp_env.render.replay_page import read_page, write_page
+from tests.render.browsing import needs_browser, shown
 from tests.render.contrast import contrast, parsed
 
 LEAST_TEXT, LEAST_MARK = 4.5, 3.0  # WCAG 2.1 AA: text, and what is not text
-DRAWN = "Number(document.body?.dataset.drawn) > 0"
 TEXT_ON = (  # colours of text, and what they are written on; names of rooms are on a halo of the panel's colour
     *(("ink", "paper"), ("ink", "panel"), ("faint", "paper"), ("faint", "panel"), ("on-accent", "accent")),
     *(("landmark", "panel"), ("hit", "panel")),
 )
 MARKS = ("solid", "truth", "estimate", "hit", "landmark", "door", "goal", "place", "mover", "polygon", "quiet")
-needs_browser = pytest.mark.skipif(chromium() is None, reason="no Chromium on this machine")
 
 
 def sources() -> dict[str, str]:
@@ -91,9 +90,7 @@ def test_text_has_contrast_and_the_maps_follow_a_change_of_the_theme(page: Path)
 def drawn(run: dict[str, Any], path: Path, fragment: str = "") -> np.ndarray:
     """(h,w,3) the belief of a run as a browser draws it."""
     write_page(run, path)
-    with Browser() as browser:
-        browser.show(path, fragment)
-        browser.wait(DRAWN)
+    with shown(path, fragment) as browser:
         width, height, data = json.loads(
             browser.ask(
                 "(() => { const c = document.getElementById('belief'); return JSON.stringify([c.width, c.height, "
@@ -152,9 +149,7 @@ def test_a_slanted_wall_is_a_line_without_teeth(page: Path, tmp_path: Path) -> N
 @needs_browser
 @pytest.mark.parametrize("width", [1280, 390])
 def test_nothing_moves_and_counts_are_integers_as_it_plays(page: Path, width: int) -> None:
-    with Browser(width) as browser:
-        browser.show(page)
-        browser.wait(DRAWN)
+    with shown(page, width=width) as browser:
         browser.press("Home")
         places, counts = set(), set[str]()
         for _ in range(len(read_page(page)["frames"])):
@@ -179,9 +174,7 @@ def test_nothing_moves_and_counts_are_integers_as_it_plays(page: Path, width: in
 @needs_browser
 def test_every_curve_has_a_unit_and_the_legend_what_is_drawn(page: Path) -> None:
     ask_titles = "[...document.querySelectorAll('.plot b')].map((e) => e.textContent)"
-    with Browser() as browser:
-        browser.show(page)
-        browser.wait(DRAWN)
+    with shown(page) as browser:
         titles = browser.ask(ask_titles)
         legend = browser.ask("[...document.querySelectorAll('#legend li')].map((e) => e.textContent)")
         shapes = browser.ask("[...document.querySelectorAll('#legend path')].map((e) => e.outerHTML)")

@@ -6,11 +6,10 @@ import numpy as np
 import pygame
 import pytest
 
-from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose, to_robot
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Camera
-from mecp_env.render.screen import SMALL_HEADER, Screen, ScreenConfig, grid_picture, thumbnail
+from mecp_env.render.screen import SMALL_HEADER, Screen, grid_picture, thumbnail
 from mecp_env.render.shapes import loops, signed_area
 from mecp_env.render.window import Window
 from mecp_env.slam.messages import Cell
@@ -25,7 +24,7 @@ def share(frame: np.ndarray, colour: palette.RGB) -> float:
 
 
 def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
-    screen = Screen(ScreenConfig(width_px=800, height_px=400))
+    screen = Screen(800, 400)
     frame = screen.frame(scene.view())
     assert frame.shape == (400, 800, 3)
     assert frame.dtype == np.uint8
@@ -39,8 +38,6 @@ def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
     assert not np.array_equal(frame, screen.frame(scene.view(T_world_robot=np.array([1.5, 3.0, 2.0]))))
     empty = replace(scene.output(), belief=make.belief(scene.output().belief.T_map_robot), map_polygons=())
     assert screen.frame(scene.view(slam_output=empty, p_goals=np.empty((0, 2)), metrics={})).any()
-    with pytest.raises(ConfigError, match="width_px"):
-        ScreenConfig(width_px=10)
 
 
 def test_frames_need_no_display_and_no_window() -> None:

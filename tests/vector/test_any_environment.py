@@ -9,7 +9,8 @@ import pytest
 from gymnasium import spaces
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
-from mecp_env.vector import BatchEnv, hosted
+from mecp_env.vector import BatchEnv
+from mecp_env.vector import batch as batching
 from tests.env.helpers import same
 
 COUNT, STEPS = 4, 12
@@ -65,8 +66,8 @@ def take(venv: Any, mode: AutoresetMode) -> list[Any]:
 def test_a_batch_gives_what_gymnasiums_own_class_gives(
     mode: AutoresetMode, alone: bool, workers: int | None, cores: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(hosted, "load", lambda: None)  # nothing here is compiled
-    monkeypatch.setattr(hosted, "cores", lambda: cores)
+    monkeypatch.setattr(batching, "load", lambda: None)  # nothing here is compiled
+    monkeypatch.setattr(batching, "cores", lambda: cores)
     makers = [partial(Counter, alone)] * COUNT
     batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
     assert same(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))

@@ -125,8 +125,11 @@ def test_wrong_numbers_of_environments_and_of_actions_are_refused(batch: BatchEn
 
 def test_what_is_under_way_is_named(batch: BatchEnv) -> None:
     batch.reset(seed=1)
-    with pytest.raises(NoAsyncCallError, match=r"recv\(\) without send\(\)"):
-        batch.recv()
+    for wait, call in (("recv", r"send\(\)"), ("step_wait", r"step_async\(\)")):
+        with pytest.raises(NoAsyncCallError, match=rf"{wait}\(\) without {call}"):
+            getattr(batch, wait)()
+    with pytest.raises(AttributeError, match="actions='goal'"):
+        batch.action_masks()
     batch.send(STILL[:2], [0, 2])
     for call in (batch.reset, lambda: batch.step(STILL), lambda: batch.call("summary"), lambda: batch.send(STILL)):
         with pytest.raises(AlreadyPendingCallError, match=r"environments \[0, 2\] are under way: recv\(\) them first"):
@@ -135,10 +138,10 @@ def test_what_is_under_way_is_named(batch: BatchEnv) -> None:
         batch.async_reset()
     batch.recv()
     batch.step_async(STILL)
-    for call in (batch.recv, lambda: batch.send(STILL), batch.async_reset):
+    for call in (batch.recv, batch.reset, lambda: batch.send(STILL), lambda: batch.step(STILL)):
         with pytest.raises(AlreadyPendingCallError, match=r"while step\(\) is under way"):
             call()
-    batch.step_wait()
+    assert batch.step_wait()[4]["period"].tolist() == [2, 1, 2]
 
 
 def test_what_was_never_reset_or_is_over_must_be_reset() -> None:

@@ -2,7 +2,6 @@
 
 import multiprocessing
 import os
-import re
 import signal
 import subprocess
 import sys
@@ -37,52 +36,60 @@ class Slow(gymnasium.Wrapper[Any, Any, Any, Any]):
         return super().step(action)
 
 
-def run_script(text: str, **keywords: Any) -> subprocess.Popen[str]:
-    """A Python process that runs `text`."""
-    environment = os.environ | {"PYTHONPATH": str(ROOT)}
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    return subprocess.Popen([sys.executable, "-c", text], env=environment, **pipes, **keywords)
-
-
-START = """
-import os, signal, sys, time, numpy as np, mecp_env
+SCRIPT = """
+import signal, sys, time, mecp_env
 signal.signal(signal.SIGINT, signal.default_int_handler)  # tests that run in the background are deaf to it
 from tests.vector.helpers import make_small
-a, b = make_small(), make_small()
-a.reset(seed=1)
+a, b = make_small(context=sys.argv[1]), make_small(context=sys.argv[1])
 print(*a.pids, *b.pids, flush=True)
+input()
 """
 
 
-def test_a_worker_killed_between_two_steps_is_named_and_nothing_is_left() -> None:
-    venv = make_small()
-    venv.reset(seed=1)
-    pids = venv.pids
-    os.kill(pids[1], signal.SIGKILL)
-    start = time.monotonic()
-    with pytest.raises(WorkerDied, match=r"worker 1 \(environments 1 to 2\) was killed by SIGKILL"):
-        venv.step(STILL)
-    assert time.monotonic() - start < SOON_S
+@pytest.mark.parametrize(
+    ("end", "context", "said"),
+    [
+        (None, "fork", ""),
+        (signal.SIGKILL, "fork", ""),
+        pytest.param(signal.SIGINT, "fork", "KeyboardInterrupt", marks=pytest.mark.slow),
+        pytest.param(signal.SIGKILL, "forkserver", "", marks=pytest.mark.slow),
+    ],
+)
+def test_no_worker_is_left_however_the_process_ends_that_it_works_for(end: Any, context: str, said: str) -> None:
+    pipes: dict[str, Any] = dict.fromkeys(("stdin", "stdout", "stderr"), subprocess.PIPE)
+    line, environment = [sys.executable, "-c", SCRIPT, context], os.environ | {"PYTHONPATH": str(ROOT)}
+    process = subprocess.Popen(line, env=environment, text=True, start_new_session=True, **pipes)
+    assert process.stdout is not None
+    pids = [int(pid) for pid in process.stdout.readline().split()]
+    assert len(pids) == 4
+    if end == signal.SIGINT:
+        os.killpg(process.pid, end)  # as Ctrl-C does: to all of them
+    elif end is not None:
+        process.kill()
+    _, err = process.communicate("\n", timeout=60)
+    assert err.count("Traceback") == bool(said)
+    assert err.rstrip().endswith(said)
     assert gone_within(pids, SOON_S)
-    venv.close()
-    venv.close()
-    with pytest.raises(ClosedEnvironmentError):
-        venv.reset()
 
 
-@pytest.mark.parametrize(("killed", "wait"), [(0, "step_wait"), (1, "step_wait"), (1, "recv")])
-def test_a_worker_killed_at_work_is_named_though_others_are_busy(killed: int, wait: str) -> None:
-    venv = make_small(wrappers=(Slow,))
+@pytest.mark.parametrize(("killed", "work"), [(0, "step"), (1, "step"), (1, "send"), (1, "")])
+def test_a_worker_killed_is_named_though_others_are_busy_and_nothing_is_left(killed: int, work: str) -> None:
+    venv = make_small(wrappers=(Slow,) if work else ())
     venv.reset(seed=1)
     pids = venv.pids
-    (venv.step_async if wait == "step_wait" else venv.send)(STILL)
-    threading.Timer(0.3, os.kill, (pids[killed], signal.SIGKILL)).start()
+    ask, wait = (venv.send, venv.recv) if work == "send" else (venv.step_async, venv.step_wait)
+    if work:
+        ask(STILL)
+    threading.Timer(0.3 * bool(work), os.kill, (pids[killed], signal.SIGKILL)).start()
     start = time.monotonic()
-    with pytest.raises(WorkerDied, match=f"worker {killed} "):
-        getattr(venv, wait)()
+    with pytest.raises(WorkerDied, match=rf"worker {killed} \(environments {killed} .*was killed by SIGKILL"):
+        wait() if work else venv.step(STILL)
     assert venv.closed
     assert time.monotonic() - start < SOON_S
     assert gone_within(pids, SOON_S)
+    venv.close()
+    with pytest.raises(ClosedEnvironmentError):
+        venv.reset()
 
 
 def test_workers_obey_though_the_process_that_they_work_for_does_not() -> None:
@@ -138,58 +145,6 @@ def test_a_batch_that_nobody_holds_closes_itself() -> None:
     assert gone_within(pids, SOON_S)
 
 
-@pytest.mark.slow
-def test_leaving_without_closing_is_clean() -> None:
-    done = run_script(START)
-    out, err = done.communicate(timeout=60)
-    assert (done.returncode, err) == (0, "")
-    assert gone_within([int(pid) for pid in out.split()], SOON_S)
-
-
-@pytest.mark.parametrize("context", ["fork", pytest.param("forkserver", marks=pytest.mark.slow)])
-def test_workers_end_when_the_process_that_they_work_for_is_killed(context: str) -> None:
-    made = f"a, b = make_small(context={context!r}), make_small(context={context!r})"
-    script = START.replace("a, b = make_small(), make_small()", made)
-    process = run_script(script + "a.step_async(np.zeros((3, 2), np.float32)); time.sleep(60)")
-    assert process.stdout is not None
-    pids = [int(pid) for pid in process.stdout.readline().split()]
-    assert len(pids) == 4
-    process.kill()
-    process.wait()
-    assert gone_within(pids, SOON_S)
-
-
-@pytest.mark.slow
-def test_interrupting_is_one_traceback_and_leaves_nothing() -> None:
-    process = run_script(START + "time.sleep(60)", start_new_session=True)
-    assert process.stdout is not None
-    pids = [int(pid) for pid in process.stdout.readline().split()]
-    os.killpg(process.pid, signal.SIGINT)  # as Ctrl-C does: to all of them
-    _, err = process.communicate(timeout=60)
-    assert err.count("Traceback") == 1
-    assert err.rstrip().endswith("KeyboardInterrupt")
-    assert gone_within(pids, SOON_S)
-
-
-def test_after_an_interrupted_wait_the_step_can_still_be_had() -> None:
-    venv = make_small()
-    venv.reset(seed=1)
-    venv.step_async(STILL)
-    real, calls = venv._pool._answer, []
-
-    def interrupted(worker: int) -> Any:
-        calls.append(worker)
-        if calls == [0, 1]:
-            raise KeyboardInterrupt
-        return real(worker)
-
-    venv._pool._answer = interrupted
-    with pytest.raises(KeyboardInterrupt):
-        venv.step_wait()
-    assert venv.step_wait()[4]["period"].tolist() == [1] * N
-    assert calls == [0, 1, 1]
-
-
 def test_a_worker_process_may_not_start_others_which_a_single_environment_does_not_need() -> None:
     context = multiprocessing.get_context("fork")
     ours, theirs = context.Pipe()
@@ -210,40 +165,6 @@ def make_and_tell(pipe: Any) -> None:
     pipe.send(venv.step(STILL[:1])[-1]["period"].tolist())
 
 
-GROWTH_MB = 5.0
-STEPS = 20  # of an episode
-
-
-def footprint(venv: BatchEnv) -> tuple[float, int]:
-    """Memory (MB) and open files of a batch: its workers and this process.
-
-    Pages of files do not count: a library may be loaded late, and a forked process makes pages that it inherited
-    its own when it first writes there.
-    """
-    pids = [os.getpid(), *venv.pids]
-    pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in pids]
-    kilobytes = sum(int(re.findall(r"\nAnonymous:\s+(\d+)", page)[0]) for page in pages)
-    return kilobytes / 1e3, sum(len(list(Path(f"/proc/{pid}/fd").iterdir())) for pid in pids)
-
-
-def drive(venv: BatchEnv, steps: int) -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(steps):
-        venv.step(rng.uniform(-1.0, 1.0, (venv.num_envs, 2)).astype(np.float32))
-
-
-@pytest.mark.slow
-def test_steps_and_episodes_cost_no_memory_and_no_files() -> None:
-    venv = make_small(4, max_steps=STEPS, autoreset_mode="SameStep")
-    venv.reset(seed=0)
-    drive(venv, 300)
-    memory, files = footprint(venv)
-    drive(venv, 900)
-    grown, left = footprint(venv)
-    assert grown - memory < GROWTH_MB
-    assert left == files
-
-
 def loaded(env: gymnasium.Env[Any, Any]) -> int:
     """Compiled functions in the process of the environment, each for one set of types."""
     modules = [vars(module) for name, module in list(sys.modules.items()) if name.startswith("mecp_env.")]
@@ -257,7 +178,8 @@ def test_workers_have_all_functions_from_the_start(context: str) -> None:
     venv = make_small(2, context=context)
     before = venv.each(loaded, [(), ()])
     venv.reset(seed=0)
-    drive(venv, 100)
+    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (100, 2, 2)).astype(np.float32):
+        venv.step(action)
     after = venv.each(loaded, [(), ()])
     assert min(before) > 50
     assert after == before

@@ -9,7 +9,7 @@ from gymnasium.error import ClosedEnvironmentError, ResetNeeded
 
 from mecp_env.core.errors import ActionError
 from mecp_env.core.processes import WorkerError
-from mecp_env.vector import hosted
+from mecp_env.vector import batch as batching
 from tests.env.helpers import same
 from tests.processes import gone_within, needs_linux
 from tests.vector.helpers import N, make_small
@@ -23,7 +23,7 @@ CORES = [1, 2]  # all here; one slice here, the other in a worker
 def own(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> int:
     """The number of cores that a batch counts."""
     cores: int = request.param
-    monkeypatch.setattr(hosted, "cores", lambda: cores)
+    monkeypatch.setattr(batching, "cores", lambda: cores)
     return cores
 
 

@@ -1,0 +1,166 @@
+"""Wrong input of every command ends with 2 and one line that says why, before anything is written."""
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mecp_env
+from mecp_env.cli import main as cli
+from mecp_env.world.layout import LIBRARY
+from tests.cli.test_submit import TwoActions
+
+LINES = {
+    "demo": [
+        ("--layout easy:0-3", "layout: easy:0-3 is 4 buildings; name one building, as easy:0"),
+        ("--layout plans", "layout: plans is 2 buildings; name one building, as plans/a.json"),
+        ("--layout=", "''"),
+        ("--layout castle", "castle: no such file or building; there are furnished, office, paper, twins, two_"),
+        ("--layout two_rooms --seed -1", "--seed: Input should be greater than or equal to 0 (given: -1)"),
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
+        ("--layout two_rooms --render human", "render_mode: 'human' can open no window"),
+    ],
+    "play": [
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
+        ("--rate 0", "--rate: Input should be greater than or equal to 0.5 (given: 0.0)"),
+        ("--config.start 50 50 0", "start: (50.0, 50.0, 0.0)"),
+        ("", "start it on a desktop or with DISPLAY set"),
+    ],
+    "one-scan": [
+        ("--layout easy", "easy: which buildings?"),
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
+        ("--layout two_rooms --step 99999", "step: no polygon is recognised from 99999 on; the exploration ends at "),
+        ("--step -5", "--step: Input should be greater than or equal to 0 (given: -5)"),
+    ],
+    "slam": [
+        ("a.log --laser-yaw-deg 400", "--laser-yaw-deg: Input should be less than or equal to 180 (given: 400.0)"),
+    ],
+    "replay": [
+        ("nowhere", "there is no such file or folder"),
+        ("empty", "neither replay.html nor a config.json"),
+        ("notes.txt", "no replay of mecp_env"),
+        ("mapped", "no run of `mecp-env demo`"),
+    ],
+    "doctor": [
+        ("--seconds=0", "--seconds: Input should be greater than or equal to 0.1 (given: 0.0)"),
+        ("--seconds=nan", "--seconds: Input should be "),
+    ],
+    "explore nearest": [
+        ("--layout easy:test", "easy:test: seeds are whole numbers"),
+        ("--layout easy:test:0-3", "'easy:test:0-3', expected DIFFICULTY:SPLIT:NUMBER"),
+        ("--layout esy:test:1", "did you mean 'easy'?"),
+        ("--layout ActiveHall-v0:test:1", "did you mean 'ActiveHalls-v0'?"),
+        ("--layout easy:tst:1", "did you mean 'test'?"),
+        ("--layout easy:test:1000000", "building: 1000000"),
+        ("--layout a\x1b[31mb", "a?[31mb: no such file"),
+        ("--layout two_rooms --steps 0", "--steps: Input should be greater than or equal to 1 (given: 0)"),
+        ("--layout paper --difficulty hard", "--difficulty hard: --layout paper fixes it"),
+        ("--difficulty hard --task ActiveHalls-v0", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
+        ("--difficulty hrd", "did you mean 'hard'?"),
+        ("--task ActiveHall-v0", "did you mean 'ActiveHalls-v0'?"),
+        ("--difficulty hard --split tst", "did you mean 'test'?"),
+        ("--split test", "--split: has a meaning with --difficulty or --task only"),
+        ("--layout plan.json --save-map .", "--save-map: . is a folder, not a file"),
+        ("--layout plan.json --save-map plan.json/map.zip", "plan.json is a file, not a folder"),
+        ("--layout plan.json --save-map plan.json", "plan.json is what is read"),
+        ("--layout plan.json --save-map notes.txt", "notes.txt: no mecp_env map, or cut short; name another file"),
+        ("--save-map map.zip --estimator known", "map.zip: a map of the estimator 'known' localises with ground truth"),
+    ],
+    "explore nearst": [("", "did you mean 'nearest'?")],
+    "submit": [
+        ("nearest --suite active-v1 --quick", "--suite active-v1: --quick fixes it; leave out one of the two"),
+        ("nearest --suite active-v9", "did you mean 'active-v1'"),
+        ("nearest --quick --out x.txt", "x.txt: expected the name of a file that ends in .json"),
+        ("nearest --quick --hours nan", "--hours"),
+        ("nearest --quick --seeds 0", "--seeds"),
+        (f"{TwoActions.__module__}:TwoActions", "settings of actions 'velocity', but its `actions` are 'goal'"),
+    ],
+    "worlds draw": [
+        ("", "name at least one building"),
+        ("ofice", "did you mean 'office'?"),
+        ("medium:9-0", "medium:9-0: the first seed comes first, as medium:0-9"),
+        ("medium:0-99999", "100000 buildings"),
+        ("medium:0-x", "medium:0-x: seeds are whole numbers, as medium:7"),
+        ("easy:99999999999999999999", "18 digits at most"),
+        ("easy:0-100", "101 buildings cannot be drawn on one sheet"),
+        ("office --out plan.jpg", "plan.jpg: a picture ends in .png or .svg"),
+        ("empty", "no file in it ends in .json"),
+    ],
+    "worlds validate": [("", "name at least one building")],
+    "worlds generate": [
+        ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
+        ("--count 0", "--count: Input should be greater than or equal to 1 (given: 0)"),
+        ("--count 2 --out one.json", "one.json is one file for 2 buildings"),
+        ("--out plans.yaml", "plans.yaml is the name of a file, not of a folder"),
+        ("--count 101 --sheet sheet.png", "101 buildings"),
+        ("--split test --seed 998 --count 5", "seed: 998, with count 5 up to index: 1002"),
+    ],
+    "worlds convert": [
+        ("office office.txt", ".json, .yaml, .svg"),
+        ("easy:0-1 two.json", "source: easy:0-1 is 2 buildings; name one building, as easy:0"),
+        ("paper new/paper.svg/below/x.json", "paper.svg is the name of a file, not of a folder"),
+        ("office map.yaml --map-resolution-m 2", "map_resolution_m: from 0.005 to 1 m"),
+        ("paper new/below/map.yaml --map-resolution-m 0.5", "map_resolution_m: "),
+    ],
+}
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
+    """What there is in the working directory: by name, with its content."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
+    for name in ("plans", "empty", "mapped"):
+        Path(name).mkdir()
+    plan = (LIBRARY / "two_rooms.json").read_bytes()
+    content = {"plan.json": plan, "plans/a.json": plan, "plans/b.json": plan, "notes.txt": b"mine"}
+    content["mapped/config.json"] = b'{"log": "x.log"}'
+    for name, data in content.items():
+        Path(name).write_bytes(data)
+    return content
+
+
+@pytest.mark.parametrize(
+    ("line", "said"), [(f"{words} {options}", said) for words, rows in LINES.items() for options, said in rows]
+)
+def test_wrong_input_is_one_line_and_changes_nothing(
+    line: str, said: str, files: dict[str, bytes], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(line.split()) == 2
+    told = capsys.readouterr().err
+    assert told.startswith("mecp-env: ")
+    assert said in told
+    assert told.count("\n") == 1
+    left: dict[str, Any] = {str(path): path.read_bytes() for path in Path().rglob("*") if path.is_file()}
+    assert left == files
+
+
+@pytest.mark.parametrize(
+    ("line", "code", "said"),
+    [
+        ("", 2, "demo"),
+        ("dmo", 2, "did you mean 'demo'?"),
+        ("worlds", 2, "worlds stats"),
+        ("worlds drwa office", 2, "did you mean 'worlds draw'?"),
+        ("demo --seed first", 2, "first"),
+        ("demo --config.slam.filter.kindd ekf", 2, "--config.slam.filter.kind"),
+        ("demo --config.slam.filter.kind ukf", 2, "riekf"),
+        ("demo --config.max-steps 0", 2, "Error parsing config: --config.max_steps: Input"),
+        ("worlds generate --difficulty medum", 2, "did you mean 'medium'?"),
+        ("worlds generate --pieces box --shapes LL", 2, "did you mean 'L'?"),
+        ("worlds generate --rooms 201", 2, "rooms"),
+        ("worlds generate --roms 6", 2, "--rooms"),
+        ("--help", 0, "one-scan"),
+        ("--version", 0, mecp_env.__version__),
+        ("demo --help", 0, "mecp-env demo --layout office"),
+        ("worlds generate --difficulty huge --help", 0, "(default: 40)"),
+    ],
+)
+def test_a_line_that_nothing_is_run_for_says_why(
+    line: str, code: int, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        cli.main(line.split())
+    assert ended.value.code == code
+    streams = capsys.readouterr()
+    assert said in streams.err + streams.out
