@@ -256,6 +256,7 @@ def _ctrl_c_later(method: str) -> Iterator[None]:
 
 
 INTERRUPTED = "interrupted in the middle of its work, which is lost"
+LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
 STOP_S = 5.0  # how long workers have to stop by themselves
 
 
@@ -330,7 +331,7 @@ class WorkerPool:
         """The answers of all workers. Raises `WorkerDied`, or the exception of the first target that had one."""
         with self._all_or_none():
             while len(self._answers) < len(self._all):
-                self._answers.append(self._all[len(self._answers)].answer())
+                self._answers.append(self._answer(len(self._answers)))
         answers, self._answers = self._answers, []
         for answer in answers:
             if isinstance(answer, Failure):
@@ -367,6 +368,15 @@ class WorkerPool:
     @property
     def _all(self) -> list[Worker | LocalWorker]:
         return [*self._local, *self._workers]
+
+    def _answer(self, number: int) -> Any:
+        """The answer of a worker. Raises `WorkerDied` soon after any of them died, though this one be busy."""
+        worker = self._all[number]
+        while isinstance(worker, Worker) and not worker.pipe.poll(LOOK_S):
+            for other in self._workers:
+                if not other.process.is_alive():
+                    other.report_death()
+        return worker.answer()
 
     @contextlib.contextmanager
     def _all_or_none(self) -> Iterator[None]:

@@ -60,7 +60,9 @@ def _told(one: Any, root: str, model: type[BaseModel]) -> str:
     if isinstance(context.get("error"), ConfigError):
         return _further_out(str(context["error"]), place)
     if kind == "extra_forbidden":
-        return f"{place}: no such field{guess(path[-1], fields_at(model, path[:-1]))} (given: {shown(given)})"
+        known = fields_at(model, path[:-1])
+        hint = guess(path[-1], known) or f" (fields: {', '.join(known)})"
+        return f"{place}: no such field{hint} (given: {shown(given)})"
     if kind in ("literal_error", "union_tag_invalid"):
         word = context.get("tag", given)
         known = PLACEHOLDER.findall(str(context.get("expected") or context.get("expected_tags")))

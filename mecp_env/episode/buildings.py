@@ -16,7 +16,7 @@ from mecp_env.core.files import is_folder
 from mecp_env.core.processes import Failure
 from mecp_env.core.settings import Names, guess, shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
-from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed, unknown_split
+from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
@@ -138,8 +138,7 @@ def check_registered(fields: Mapping[Any, Any]) -> None:
 
 
 def _generated(difficulty: Any = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
-    if not isinstance(split, str) or split not in SPLITS:
-        raise ConfigError(unknown_split(split))
+    split_seed(split, 0)
     chosen = (difficulty,) if isinstance(difficulty, str) else difficulty
     if not isinstance(chosen, list | tuple) or not chosen:
         known = ", ".join(DIFFICULTIES)
@@ -191,7 +190,7 @@ def keywords_of(key: str, keywords: dict[str, Any]) -> tuple[dict[str, Any], dic
     return given, {name: value for name, value in keywords.items() if name not in KEYWORDS[key]}
 
 
-plan_keywords, generator_keywords = partial(keywords_of, PLAN), partial(keywords_of, GENERATE)
+generator_keywords = partial(keywords_of, GENERATE)
 
 
 def draw_building(numbers: range, rng: np.random.Generator) -> int:

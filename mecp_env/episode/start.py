@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Point
 
-from mecp_env.config import unknown
+from mecp_env.config import alternatives
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import number
@@ -31,7 +31,7 @@ def parse_options(options: Any) -> dict[str, Any]:
         raise ConfigError(f"options: expected a dict or None, given {type(options).__name__}")
     for name in options:
         if name not in OPTIONS:
-            raise ConfigError(unknown(name, list(OPTIONS), "options"))
+            raise ConfigError(f"options.{name}: no such field{alternatives(name, OPTIONS)}")
     return options
 
 

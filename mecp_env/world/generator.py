@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from itertools import islice
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -49,25 +49,20 @@ def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) 
     corners of a room but the posts of a door are nearer to each other than 0.25 m. Raises `ConfigError` for a wrong
     field or seed, and for a specification that no building fulfils.
     """
-    spec, seed = GeneratorSpec.parse(spec), _checked(seed)
+    spec = GeneratorSpec.parse(spec)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= MOST_SEED:
+        raise ConfigError(f"seed: a whole number from 0 to 2**128 - 1 expected (given: {shown(seed)})")
     spec.require_doors()
     rng = np.random.default_rng(seed)
     rejected: list[Rejected] = []
     while len(rejected) < ATTEMPTS and sum(why.field == "furniture" for why in rejected) < FURNISHED:
         try:
-            return _attempt(spec, seed, rng)
+            return _attempt(spec, int(seed), rng)
         except Rejected as why:
             rejected.append(why)
         except LayoutError as error:
             raise ConfigError(f"rooms, furniture: more than a layout may hold ({error})") from None
     raise ConfigError(_impossible(spec, rejected))
-
-
-def _checked(seed: Any) -> int:
-    """`seed` if it is one. Raises `ConfigError`."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= MOST_SEED:
-        raise ConfigError(f"seed: a whole number from 0 to 2**128 - 1 expected (given: {shown(seed)})")
-    return int(seed)
 
 
 def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
@@ -88,7 +83,8 @@ def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
 def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout:
     """One try. Raises `Rejected` when rooms do not fit into the plot, doors not between them, or furniture not in."""
     spaces = partition(spec, rng)
-    thickness = spec.drawn_thickness_m(rng)
+    low, high = spec.wall_thickness_m
+    thickness = min(max(round(float(rng.uniform(low, high)), 3), low), high)  # whole millimetres, if the range has one
     slants = _cut_corners(spaces, spec, rng)
     if len(slants) < spec.slanted_corners:
         raise Rejected("slanted_corners", len(slants))
@@ -175,8 +171,5 @@ class _Turned:
 
 def _names(spaces: list[Space]) -> list[str]:
     """room 1, room 2, ..., corridor 1, ..."""
-    names, count = [], {True: 0, False: 0}
-    for space in spaces:
-        count[space.corridor] += 1
-        names.append(f"{'corridor' if space.corridor else 'room'} {count[space.corridor]}")
-    return names
+    rooms, corridors = count(1), count(1)
+    return [f"corridor {next(corridors)}" if space.corridor else f"room {next(rooms)}" for space in spaces]

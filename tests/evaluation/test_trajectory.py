@@ -86,7 +86,7 @@ def test_noise_is_that_of_the_model() -> None:
     odometry = reading(increments, model)
     np.testing.assert_array_equal(odometry.increments, increments)
     path = increments[:, 0].sum() + model.turn_m * 0.2 / (math.pi / 2.0)
-    expected = path * np.array([model.distance_sigma_m, model.turn_sigma_rad]) ** 2
+    expected = path * np.array([model.distance_sigma_m, math.radians(model.turn_sigma_deg)]) ** 2
     np.testing.assert_allclose(odometry.cov.sum(axis=0).diagonal(), expected, rtol=1e-4)
     rng = np.random.default_rng(0)
     drawn = np.array([reading(increments, model, rng).increments.sum(axis=0) for _ in range(4000)])
