@@ -242,7 +242,7 @@ def may_touch(obstacles: MovingBodies, state: Array, limits: RobotLimits, subste
     for _ in boxes:  # each may push another one
         pushed |= beside[:, pushed].any(axis=1)
     reach = walkers[:, RADIUS] + walkers[:, PACE] * seconds + far
-    met: Bools = _within(walkers[:, [X, Y]], reach, np.vstack([robot, discs[pushed]])).any(axis=1)
+    met: Bools = np.logical_or.reduce(_within(walkers[:, [X, Y]], reach, np.vstack([robot, discs[pushed]])), axis=1)
     return met, pushed
 
 
