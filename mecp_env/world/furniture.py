@@ -26,13 +26,6 @@ ROUNDS = 3  # attempts to put the remaining pieces into any room
 LEAST_SHARE = 0.85  # of the pieces that are asked for
 
 
-class Placed(NamedTuple):
-    """A piece of furniture by circles that cover it, and as the layout has it."""
-
-    circles: Array  # (k,3) x, y, radius, m
-    obstacle: dict[str, Any]
-
-
 class Places(NamedTuple):
     """Candidate places of a piece."""
 
@@ -52,16 +45,17 @@ class Places(NamedTuple):
 
 def furnish(
     spaces: list[Space], doors: list[Opening], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> list[Placed]:
+) -> tuple[list[dict[str, Any]], Array]:
     """The furniture of all rooms but the corridors, as many pieces as the specification says. Raises `Rejected`.
 
-    Each room has its share; what does not fit there is put into another one.
+    As the layout has them, and the circles (c,3) around all of them: x, y, radius, m. Each room has its share; what
+    does not fit there is put into another one.
     """
     rooms = [_room(index, space, doors, thickness) for index, space in enumerate(spaces) if not space.corridor]
     areas = np.array([ring_area(room.ring.tolist()) for room in rooms])
     wanted = spec.furniture * float(areas.sum()) / 10.0
     if wanted == 0.0:
-        return []
+        return [], np.empty((0, 3))
     shares = zip(rooms, _counts(areas, round(wanted), rng), strict=True)
     left: list[str] = []
     for room, count in shares:
@@ -70,7 +64,7 @@ def furnish(
     placed = list(chain.from_iterable(room.pieces for room in rooms))
     if len(placed) < min(round(wanted), LEAST_SHARE * wanted):
         raise Rejected("furniture", spec.furniture * len(placed) / wanted)
-    return placed
+    return placed, np.concatenate([room.circles for room in rooms])
 
 
 def _counts(areas: Array, total: int, rng: np.random.Generator) -> list[int]:
@@ -96,7 +90,7 @@ class Room:
     doors: Array  # (d,2) m, their middles
     thickness: float  # m, of the walls
     circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
-    pieces: list[Placed] = field(default_factory=list)
+    pieces: list[dict[str, Any]] = field(default_factory=list)
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Place a piece where it blocks no passage; False where no such place was found."""
@@ -106,10 +100,9 @@ class Room:
         if not len(fits):
             return False
         first = int(fits[0])
-        centres = places.centres[first]
-        piece = Placed(np.column_stack([centres, np.full(len(centres), places.radius)]), places.obstacle(first))
-        self.pieces.append(piece)
-        self.circles = np.concatenate([self.circles, piece.circles])
+        circles = np.pad(places.centres[first], ((0, 0), (0, 1)), constant_values=places.radius)
+        self.pieces.append(places.obstacle(first))
+        self.circles = np.concatenate([self.circles, circles])
         return True
 
 
