@@ -67,7 +67,9 @@ class AssociationLog:
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
-        return int(metric_arrays.count_duplicates(self.features, landmarks, self.true_corners))
+        corners = self.features[landmarks, 0]
+        known = corners[corners >= 0].tolist()
+        return len(known) - len(set(known))
 
     def corners_of(self, landmarks: Ints) -> Ints:
         """(N,) the true corner that each of the landmarks (N,) is of, -1 for one that was never seen at any."""

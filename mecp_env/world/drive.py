@@ -305,9 +305,8 @@ def _leave_face(face: Array, box: Array, size: Array) -> None:
 
 
 @compiled
-def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> bool:
-    """Pushes the robot's position out of boxes nearer than `radius`; returns whether there was none."""
-    free = True
+def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> None:
+    """Push the robot's position out of boxes nearer than `radius`."""
     for i in range(boxes.shape[0]):
         c, s = math.cos(boxes[i, 2]), math.sin(boxes[i, 2])
         dx, dy = state[0] - boxes[i, 0], state[1] - boxes[i, 1]
@@ -320,5 +319,3 @@ def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> bool
             push = radius / distance - 1.0
             state[0] += push * (c * off_along - s * off_aside)
             state[1] += push * (s * off_along + c * off_aside)
-            free = False
-    return free
