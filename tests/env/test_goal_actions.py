@@ -8,7 +8,7 @@ from gymnasium.wrappers import FrameStackObservation, RescaleAction
 from mecp_env.core.errors import ActionError, ConfigError
 from mecp_env.core.snapshot import StateError
 from mecp_env.env import MecpEnv
-from mecp_env.episode.actions import DISCRETE, check_choice, check_velocity, normalised_command
+from mecp_env.episode.actions import check_choice, check_velocity, normalised_command
 from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.planning.goal_list import Goal, GoalKind, Goals, RowTimes
@@ -256,7 +256,7 @@ def test_a_refused_action_leaves_the_environment_as_it_was(kind):
 def test_discrete_actions_move_as_they_are_called():
     env = make(actions="discrete", laser={"preset": "ideal"}).unwrapped
     ways = {}
-    for index, name in enumerate(DISCRETE):
+    for index, name in enumerate(("stop", "forward", "back", "left", "right")):
         env.reset(seed=0)
         for _ in range(3):
             _, _, _, _, info = env.step(index)
