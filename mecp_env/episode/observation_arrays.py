@@ -99,8 +99,9 @@ def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: i
 
 def pool_codes(codes: Bytes, width: int) -> Bytes:
     """(H+w-1,W+w-1) the bits of the `width` x `width` cells up to and with cell [i, j]; unknown outside the grid."""
-    padded = np.pad(codes, width - 1, constant_values=UNKNOWN)
-    rows, cols = codes.shape[0] + width - 1, codes.shape[1] + width - 1
+    rim, rows, cols = width - 1, codes.shape[0] + width - 1, codes.shape[1] + width - 1
+    padded = np.full((rows + rim, cols + rim), UNKNOWN, np.uint8)
+    padded[rim:rows, rim:cols] = codes
     tall = functools.reduce(np.bitwise_or, (padded[a : a + rows] for a in range(width)))
     pooled: Bytes = functools.reduce(np.bitwise_or, (tall[:, a : a + cols] for a in range(width)))
     return pooled
@@ -122,13 +123,20 @@ def window_layers(
     c, s, half = cosine * side / resolution, sine * side / resolution, 0.5 * (n - 1)
     x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
     y = (pose[1] - corner[1]) / resolution + s * half + c * half
-    window = np.empty((n, n), np.uint8)
+    window, flat, wide = np.full((n, n), UNKNOWN, np.uint8), pooled.reshape(-1), np.int32(pooled.shape[1])
+    skipped, place = np.int32(top * pooled.shape[1] + start), np.empty(n, np.int32)
+    down, right = c * np.arange(n), s * np.arange(n)
     for i in range(n):
-        u, v = x - c * i, y - s * i
-        for j in range(n):
-            across, up = u + s * j, v - c * j
-            inside = (0.0 <= across < cols) & (0.0 <= up < rows)
-            window[i, j] = pooled[int(up) - top, int(across) - start] if inside else UNKNOWN
+        u, v, first, last = x - c * i, y - s * i, 0, n  # a row of the window enters the grid once, and leaves it once
+        while first < n and not ((0.0 <= u + s * first < cols) & (0.0 <= v - c * first < rows)):
+            first += 1
+        while last > first and not ((0.0 <= u + s * (last - 1) < cols) & (0.0 <= v - c * (last - 1) < rows)):
+            last -= 1
+        at, row, below, beside = place[first:last], window[i, first:last], down[first:last], right[first:last]
+        for j in range(at.shape[0]):  # several at a time; then those of one row after the other
+            at[j] = np.int32(v - below[j]) * wide + np.int32(u + beside[j]) - skipped
+        for j in range(at.shape[0]):
+            row[j] = flat[np.uint32(at[j])]
     for k in range(path.shape[0]):
         dx, dy = path[k, 0] - pose[0], path[k, 1] - pose[1]
         i = math.floor(0.5 * n - (cosine * dx + sine * dy) / side)

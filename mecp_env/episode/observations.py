@@ -172,9 +172,9 @@ class GridWindows:
         (top, bottom, left, right), (rows, columns) = rect, grid.label.shape
         key = (grid.version, room, *rect)
         if width not in self._cache or self._cache[width][0] != key:
-            shown = np.s_[top:bottom, left:right]
-            polygon, rooms = grid.polygon[shown].copy(), grid.room[shown].copy()
-            codes = observation_arrays.cell_codes(np.pad(grid.label[shown], 1), polygon, rooms, room)
+            shown, label = np.s_[top:bottom, left:right], np.zeros((bottom - top + 2, right - left + 2), np.uint8)
+            label[1:-1, 1:-1] = grid.label[shown]
+            codes = observation_arrays.cell_codes(label, grid.polygon[shown].copy(), grid.room[shown].copy(), room)
             self._cache[width] = key, observation_arrays.pool_codes(codes, width)
         return self._cache[width][1], (top, left, rows + width - 1, columns + width - 1)
 

@@ -66,7 +66,8 @@ def relation_error(t: Array, T_map_robot: Array, relations: Array) -> RelationEr
     first, second = (interpolated(t, T_map_robot, asked[:, column]) for column in (0, 1))
     off = between(asked[:, 2:], between(first, second))
     errors = np.column_stack((np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])))
-    return RelationError(*errors.mean(axis=0).tolist(), *errors.std(axis=0).tolist(), len(errors))
+    (mean_m, mean_rad), (sd_m, sd_rad) = errors.mean(axis=0).tolist(), errors.std(axis=0).tolist()
+    return RelationError(mean_m, mean_rad, sd_m, sd_rad, len(errors))
 
 
 def coincident(t: Array, relations: Array, within_s: float = COINCIDENT_S) -> Array:
