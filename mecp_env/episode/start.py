@@ -50,31 +50,19 @@ def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:
     Raises `ConfigError`, also when the robot is too large for the layout's own start, or for any drawn one.
     """
     if isinstance(start, str) and start == "random":
-        check_space(outline, robot)
+        try:
+            random_free_pose(outline, np.random.default_rng(0), robot.radius_m + CLEARANCE_M)
+        except LayoutError as error:
+            raise ConfigError(f"robot.radius_m: {robot.radius_m} m: {error}") from None
         return start
-    if isinstance(start, str) and start == "layout":
-        check_room(tuple(outline.starts[0].tolist()), outline, robot)
-        return start
-    pose = to_pose(start)
+    own = isinstance(start, str) and start == "layout"
+    pose = to_pose(outline.starts[0] if own else start)
     if not outline.free_area.contains(Point(pose[:2])):
         raise ConfigError(f"start: {pose} does not lie in the free space of {outline.name!r}")
-    check_room(pose, outline, robot)
-    return pose
-
-
-def check_room(pose: tuple[float, ...], outline: Outline, robot: RobotConfig) -> None:
-    """Raise `ConfigError` where the robot would touch a wall."""
     room = wall_distance(outline.segments, pose[0], pose[1])
     if room < robot.radius_m:
         raise ConfigError(f"start: {pose} is {room:.3f} m from a wall, at least robot.radius_m = {robot.radius_m}")
-
-
-def check_space(outline: Outline, robot: RobotConfig) -> None:
-    """Raise `ConfigError` when there is no place where the robot touches nothing."""
-    try:
-        random_free_pose(outline, np.random.default_rng(0), robot.radius_m + CLEARANCE_M)
-    except LayoutError as error:
-        raise ConfigError(f"robot.radius_m: {robot.radius_m} m: {error}") from None
+    return "layout" if own else pose
 
 
 def to_pose(start: Any) -> tuple[float, float, float]:

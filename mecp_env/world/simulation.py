@@ -146,7 +146,7 @@ class Simulation:
         return pose
 
     def reset(self, T_world_robot: Array) -> None:
-        """Puts the robot at rest at a pose (3,), which is off the walls (`check_room`)."""
+        """Puts the robot at rest at a pose (3,), which is off the walls (`check_start`)."""
         self._state = np.concatenate([T_world_robot, np.zeros(3)])
 
     def step(self, v: float, w: float) -> Motion:
