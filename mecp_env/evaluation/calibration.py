@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -74,18 +74,11 @@ class Calibration:
     range_noise_m: float | None  # of beams on straight walls, as measured
     notes: tuple[str, ...] = ()  # which fields keep their defaults, and why
 
-    @property
-    def of_sensor(self) -> dict[str, float]:
-        """The fields of the sensor model that are calibrated."""
-        return {name: getattr(self.sensor, name) for name in sorted(OF_SENSOR)}
-
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `metrics.json`."""
-        fields = {name: {"value": e.value, "sigma": e.sigma, "source": e.source} for name, e in self.estimates.items()}
-        return {"fields": fields, "registered": self.registered, "tried": self.tried} | {
-            "range_noise_m": self.range_noise_m,
-            "notes": list(self.notes),
-        }
+        fields = {name: asdict(estimate) for name, estimate in self.estimates.items()}
+        counts = {"registered": self.registered, "tried": self.tried, "range_noise_m": self.range_noise_m}
+        return {"fields": fields, **counts, "notes": list(self.notes)}
 
 
 def calibrated(

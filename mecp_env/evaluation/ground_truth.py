@@ -231,9 +231,14 @@ def doors_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> t
 
     A door of the map whose jambs are no longer landmarks counts as none.
     """
+    found = len(_true_doors(truth, output, T_world_map))
+    return found, len(output.graph.doors) - found
+
+
+def _true_doors(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> list[tuple[int, int]]:
+    """Row of each door of the map that is a true one, and of that one."""
     p_world = to_map(T_world_map, door_centres(output.graph.doors, output.belief))
-    found = len(nearest_pairs(_from_doorways(truth, p_world), DOOR_GATE_M))
-    return found, len(p_world) - found
+    return nearest_pairs(_from_doorways(truth, p_world), DOOR_GATE_M)
 
 
 def _from_doorways(truth: GroundTruth, p_world: Array) -> Array:
@@ -263,9 +268,7 @@ def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
 
 def door_error(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> float:
     """Mean distance (m) of the doors found from the truth: of the middle of each face that is known; 0 without one."""
-    doors = output.graph.doors
-    p_world = to_map(T_world_map, door_centres(doors, output.belief))
-    found = nearest_pairs(_from_doorways(truth, p_world), DOOR_GATE_M)
+    doors, found = output.graph.doors, _true_doors(truth, output, T_world_map)
     errors = [_face_error(truth, doors[d], output.belief, T_world_map, true) for d, true in found]
     return float(np.mean(errors)) if errors else 0.0
 

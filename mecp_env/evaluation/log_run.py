@@ -19,7 +19,7 @@ from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.se2 import between, chained, composed
 from mecp_env.core.sensors import Odometry
 from mecp_env.core.settings import Settings
-from mecp_env.evaluation.calibration import RANGE_SIGMA_M, UNIFORM, Calibration
+from mecp_env.evaluation.calibration import OF_SENSOR, RANGE_SIGMA_M, UNIFORM, Calibration
 from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
 from mecp_env.logs.log import Log
 from mecp_env.logs.odometry_model import arcs, end_of, reading
@@ -246,7 +246,10 @@ def config_for(log: Log, fields: Mapping[str, Any] | None = None, calibration: C
 
     `fields` of `SlamConfig` override both.
     """
-    fields, found = dict(fields or {}), {} if calibration is None else calibration.of_sensor
+    fields, found = (
+        dict(fields or {}),
+        {} if calibration is None else calibration.sensor.model_dump(include=set(OF_SENSOR)),
+    )
     return SlamConfig.parse(fields | {"sensor": sensor_of(log, found | dict(fields.get("sensor", {})))})
 
 

@@ -70,11 +70,11 @@ def relation_error(t: Array, T_map_robot: Array, relations: Array) -> RelationEr
     return RelationError(mean_m, mean_rad, sd_m, sd_rad, len(errors))
 
 
-def coincident(t: Array, relations: Array, within_s: float = COINCIDENT_S) -> Array:
+def coincident(t: Array, relations: Array) -> Array:
     """The relations (m,5) whose stamps are those of poses at t (n,)."""
     after = np.searchsorted(t, relations[:, :2]).clip(1, len(t) - 1)
     off = np.minimum(abs(t[after] - relations[:, :2]), abs(t[after - 1] - relations[:, :2]))
-    found: Array = relations[(off < within_s).all(axis=1)]
+    found: Array = relations[(off < COINCIDENT_S).all(axis=1)]
     return found
 
 
