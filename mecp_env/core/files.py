@@ -20,18 +20,7 @@ import numpy as np
 
 from mecp_env.core.errors import LayoutError
 
-
-def exists(path: str | Path) -> bool:
-    """True when there is a file or folder; False, too, for a name that no file can have."""
-    try:
-        return Path(path).exists()
-    except (OSError, ValueError):
-        return False
-
-
-def is_folder(path: str | Path) -> bool:
-    """True when there is a folder; False, too, for a name that no folder can have."""
-    return exists(path) and Path(path).is_dir()
+exists, is_folder = os.path.exists, os.path.isdir  # False, too, for a name that no file can have
 
 
 def read_bytes(path: Path, most: int) -> bytes:

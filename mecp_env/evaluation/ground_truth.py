@@ -201,12 +201,6 @@ class GroundTruth:
         inside = y >= 0.0 and x >= 0.0 and row < room.shape[0] and col < room.shape[1]
         return int(room[row, col]) if inside else -1
 
-    def count_cells(self, cells: Bools, p_world: Array) -> int:
-        """How many points (n,2) lie in the marked `cells` (H,W)."""
-        columns, rows = np.floor((p_world - self.corner) / CELL_M).astype(np.int64).T
-        inside = (rows >= 0) & (columns >= 0) & (rows < cells.shape[0]) & (columns < cells.shape[1])
-        return int(cells[rows[inside], columns[inside]].sum())
-
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
         """Mark in `seen` (H,W) the free cells visible from the true pose (3,); returns the number of new ones."""
         x, y, heading = compose(T_world_robot, self.T_robot_laser).tolist()
@@ -298,7 +292,7 @@ def covers(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> tuple[
     """Share of the true free area that lies under polygons, and share that the grid calls FREE or DOOR."""
     p_map = to_map(inverse(T_world_map), truth.centres[truth.free])
     free = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
-    return float(cells_at(grid, grid.polygon, p_map, False).mean()), float(free.mean())
+    return float(cells_at(grid.polygon, grid.origin, grid.resolution_m, p_map, False).mean()), float(free.mean())
 
 
 def rooms_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> tuple[int, int]:
@@ -335,15 +329,15 @@ def grid_iou(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> floa
 
 def labels_at(grid: SemanticGrid, p_map: Array) -> Bytes:
     """(n,) the label of the cell that each point (n,2) of the map frame lies in; UNKNOWN outside."""
-    return cells_at(grid, grid.label, p_map, np.uint8(Cell.UNKNOWN))
+    return cells_at(grid.label, grid.origin, grid.resolution_m, p_map, np.uint8(Cell.UNKNOWN))
 
 
-def cells_at(grid: SemanticGrid, layer: NDArray[Any], p_map: Array, outside: Any) -> NDArray[Any]:
-    """(n,) the values of a layer (H,W) of the grid at the points (n,2) of the map frame."""
-    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+def cells_at(layer: NDArray[Any], corner: Array, cell_m: float, points: Array, outside: Any) -> NDArray[Any]:
+    """(n,) the values of a raster (H,W) with its lower left corner (2,) at points (n,2) of the same frame."""
+    cells = np.floor((points - corner) / cell_m).astype(np.int64)
     rows, cols = layer.shape
     inside = (cells >= 0).all(axis=1) & (cells[:, 0] < cols) & (cells[:, 1] < rows)
-    values = np.full(len(p_map), outside, layer.dtype)
+    values = np.full(len(points), outside, layer.dtype)
     values[inside] = layer[cells[inside, 1], cells[inside, 0]]
     return values
 

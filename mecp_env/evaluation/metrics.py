@@ -17,6 +17,7 @@ from mecp_env.evaluation.ground_truth import (
     DynamicObstacles,
     GroundTruth,
     MapQuality,
+    cells_at,
     correct_coverage,
     covers,
     door_error,
@@ -28,9 +29,6 @@ from mecp_env.evaluation.ground_truth import (
 from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.output import SlamOutput
-
-__all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth"]
-
 
 NEVER = 2**40  # a step that never comes
 SWEEP_STEP_M = 0.4  # the visible area is computed again after this motion
@@ -215,7 +213,8 @@ class EpisodeMetrics:
             return 0
         p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
         nameless = self.association.features[belief.ids, 0] < 0
-        return truth.count_cells(self.visited_by_obstacles, p_world[nameless])
+        cells = self.visited_by_obstacles
+        return int(cells_at(cells, truth.corner, metric_arrays.CELL_M, p_world[nameless], False).sum())
 
     def map_error(self, truth: GroundTruth, belief: Belief) -> tuple[float, int]:
         """RMSE (m) of the landmarks from their true corners, 0 without one, and how many are of no true corner.

@@ -124,16 +124,11 @@ def inside(ring: Array, points: Array) -> Bools:
 
 def edge_distances(ring: Array, points: Array) -> Array:
     """Distances (...,n) m of points (...,2) from each edge of a ring (n,2)."""
-    (x0, y0), (dx, dy) = ring.T, (following(ring) - ring).T
+    (x0, y0), (dx, dy) = ring.T, (np.roll(ring, -1, axis=0) - ring).T
     x, y = points[..., :1] - x0, points[..., 1:] - y0
     share = np.minimum(np.maximum((x * dx + y * dy) / (dx * dx + dy * dy), 0.0), 1.0)
     far: Array = np.hypot(x - share * dx, y - share * dy)
     return far
-
-
-def following(ring: Array) -> Array:
-    """For each corner (n,2) of a ring the next one."""
-    return np.concatenate([ring[1:], ring[:1]])
 
 
 def _is_off_walls(places: Places, room: Room) -> Bools:
@@ -179,10 +174,10 @@ def _shelf(ring: Array, thickness: float, rng: np.random.Generator) -> Places:
     """A shelf with its back to a wall of the room."""
     length, depth = (round(float(size), 3) for size in (rng.uniform(0.8, 2.0), rng.uniform(0.3, 0.5)))
     wall = rng.integers(len(ring), size=PLACES)
-    ahead = (following(ring) - ring)[wall]
+    ahead = (np.roll(ring, -1, axis=0) - ring)[wall]
     ahead /= np.hypot(ahead[:, :1], ahead[:, 1:])
     share = rng.uniform(0.0, 1.0, (PLACES, 1))
-    centres = ring[wall] * (1.0 - share) + following(ring)[wall] * share
+    centres = ring[wall] * (1.0 - share) + np.roll(ring, -1, axis=0)[wall] * share
     centres += (depth + thickness) / 2.0 * np.column_stack([-ahead[:, 1], ahead[:, 0]])
     offsets, radius = _cover((length, depth), 0.0)
     circles = centres[:, None] + offsets[:, :1] * ahead[:, None]

@@ -231,7 +231,7 @@ def test_what_may_touch_the_robot_or_a_box_that_moves() -> None:
     boxes[3, 3] = 0.1
     rounds = np.column_stack([boxes[:, :2], np.full(4, 0.283)])
     limits = drive.RobotLimits(dt=0.01, max_dv=0.01, max_dw=0.05, stride=0.005, radius=0.22, substeps=4)
-    moving = drive.MovingBodies(pedestrians, boxes, sizes, rounds, np.zeros(crowd.ROBOT), polite=True)
+    moving = drive.MovingBodies(pedestrians, boxes, sizes, rounds, np.zeros(6), polite=True)
     met, pushed = drive.may_touch(moving, np.zeros(6), limits, 16)
     assert met.tolist() == [True, False, False, False]
     assert pushed.tolist() == [True, True, False, True]

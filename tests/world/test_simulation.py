@@ -133,7 +133,7 @@ def test_an_acute_corner_holds_the_robot(angle_deg: float) -> None:
     half = math.radians(0.5 * angle_deg)
     upper, lower = 9.0 * np.array([math.cos(half), math.sin(half)]), 9.0 * np.array([math.cos(half), -math.sin(half)])
     faces, limits = np.array([[np.zeros(2), upper], [lower, np.zeros(2)]]), RobotLimits.of(ROBOT)
-    nothing = MovingBodies(*(np.empty((0, n)) for n in (crowd.PEDESTRIAN, 6, 2, 3)), np.zeros(crowd.ROBOT), polite=True)
+    nothing = MovingBodies(*(np.empty((0, n)) for n in (crowd.PEDESTRIAN, 6, 2, 3)), np.zeros(6), polite=True)
     for seed in range(20):
         rng, course, increments = np.random.default_rng(seed), np.zeros(COURSE), np.empty((ROBOT.arcs, 2))
         state = np.array([ROBOT.radius_m / math.sin(half) + 1.0, 0.0, math.pi + rng.uniform(-0.5, 0.5), 0.0, 0.0, 0.0])
