@@ -136,7 +136,7 @@ class Worker:
         self.process = context.Process(
             target=_serve, args=(theirs, inherited, imported_modules(), target), name=name, daemon=True
         )
-        with _one_thread_each(), _ctrl_c_later(method), warnings.catch_warnings():
+        with _as_worker(method), warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*fork", DeprecationWarning)  # of libraries' threads, which heed it
             self.process.start()
         theirs.close()
@@ -229,30 +229,26 @@ def _cause(exit_code: int | None) -> str:
 
 
 @contextlib.contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Started so, libraries of a new process use one thread; a forked one keeps the setting of this process."""
+def _as_worker(method: str) -> Iterator[None]:
+    """A process started in it uses one thread per library, and never receives Ctrl-C, also while it imports.
+
+    This process receives it afterwards. Libraries of a forked process keep the threads that they have here.
+    """
     before = {name: os.environ.get(name) for name in THREADS}
+    can_block = threading.current_thread() is threading.main_thread() and hasattr(
+        signal, "pthread_sigmask"
+    )  # not on Windows
+    if can_block and method != "fork":
+        resource_tracker.ensure_running()  # its start would unblock the signal
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else None  # which a process inherits
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
-
-
-@contextlib.contextmanager
-def _ctrl_c_later(method: str) -> Iterator[None]:
-    """A process started in it never receives Ctrl-C, also while it imports; this process receives it afterwards."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
-        yield  # a thread is not interrupted; Windows
-        return
-    if method != "fork":
-        resource_tracker.ensure_running()  # its start would unblock the signal
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the new process inherits
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 INTERRUPTED = "interrupted in the middle of its work, which is lost"
