@@ -56,7 +56,7 @@ def test_a_corridor_has_doors_to_rooms_only(tmp_path: Path) -> None:
     layout = read(plans.corridor_picture(), tmp_path)
     assert (len(layout.rooms), len(layout.doors)) == (4, 3)
     assert all(door.width_m == pytest.approx(0.9, abs=0.06) for door in layout.doors)
-    assert build_outline(layout).corners.jamb.sum() == 12
+    assert jambs_of(build_outline(layout)).sum() == 12
     corridor = Polygon(layout.rooms[0].polygon)
     assert corridor.contains(Point(9.5, 3.0))
     assert corridor.contains(Point(2.0, 5.2))
