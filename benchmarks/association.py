@@ -138,7 +138,7 @@ def rooms_of(drive: Drive) -> Ints:
 
 def closures(drive: Drive, log: AssociationLog, pairs: Pairs, rooms: Ints) -> list[tuple[int, int]]:
     """Correct and wrong matches within five scans of each return to a room; see the module docstring."""
-    corner_room = drive.truth.outline.corners.room
+    corner_room = drive.truth.outline.room_at(drive.truth.outline.corners.p_world)
     last_visit: dict[int, int] = {}
     events = []
     for i, room in enumerate(rooms.tolist()):
@@ -164,7 +164,8 @@ def swapped(drive: Drive, pairs: Pairs) -> int:
     wrong = pairs.wrong & (pairs.true >= 0) & (pairs.claimed >= 0)
     true, claimed = pairs.true[wrong], pairs.claimed[wrong]
     apart = np.hypot(*(corners.p_world[true] - corners.p_world[claimed]).T)
-    return int(((corners.room[true] != corners.room[claimed]) & (apart < ACROSS_WALL_M)).sum())
+    room = drive.truth.outline.room_at(corners.p_world)
+    return int(((room[true] != room[claimed]) & (apart < ACROSS_WALL_M)).sum())
 
 
 def summarise(runs: list[Figures]) -> Figures:

@@ -105,7 +105,7 @@ def in_order(estimate: Filter) -> tuple[Array, Array]:
 def measured(drive: Drive, slips: bool = False) -> tuple[Record, Array, Array]:
     """The record of a drive, its true path (n,3), and the true corners (m,2), in the frame of the first pose."""
     T_map_world = inverse(drive.T_world_robot[0])
-    corners, config = to_map(T_map_world, drive.truth.outline.corners), drive.slam.filter
+    corners, config = to_map(T_map_world, drive.truth.outline.corners.p_world), drive.slam.filter
     motions, sightings, path = list[Motion](), list[Sighting](), list[Array]()
     for odometry, scan, T_world_robot in zip(drive.odometry, drive.scans, drive.T_world_robot, strict=True):
         if odometry is None and sightings:

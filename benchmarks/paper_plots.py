@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse, Rectangle
+from scipy.spatial.distance import cdist
 
 from benchmarks.polygon_centres import Centre
 from mecp_env.core.carriers import Array
@@ -19,7 +20,7 @@ from mecp_env.core.se2 import to_map
 from mecp_env.render import shapes
 from mecp_env.slam.messages import MapPolygon
 from mecp_env.slam.output import SlamOutput
-from mecp_env.world.outline import Outline
+from mecp_env.world.outline import Outline, door_ring
 
 TITLES = {
     "fig2": "one sweep of the laser",
@@ -233,7 +234,8 @@ def environment_figure(world: World) -> Figure:
     half = 0.5 * outline.doors.width[:, None] * along
     lines = np.stack([outline.doors.centre - half, outline.doors.centre + half], axis=1)
     axes.add_collection(LineCollection(list(lines), colors=RED, linewidths=2.5, linestyles=":", label="door, 0.9 m"))
-    corners = outline.corners.p_world[~outline.corners.jamb]
+    posts = np.concatenate([door_ring(outline.doors, door, 0.0) for door in range(len(outline.doors))])
+    corners = outline.corners.p_world[cdist(outline.corners.p_world, posts).min(axis=1) > 1e-3]
     looks: dict[str, Any] = {"color": BLUE, "markerfacecolor": "white", "markersize": 5, "zorder": 4}
     axes.plot(*corners.T, "o", label=f"{len(corners)} corners that are no jambs", **looks)
     draw_robot(axes, world.T_world_map, GREEN, "start of the run of figures 2 to 8")

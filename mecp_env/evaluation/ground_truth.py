@@ -126,7 +126,7 @@ def true_correspondences(
     T_world_laser: Array, outline: Outline, obstacles: DynamicObstacles = NO_OBSTACLES
 ) -> TrueCorrespondences:
     """The correspondences of a scan taken by a laser at a pose (3,) in the building, with what moves in it."""
-    true, segments = outline.corners, outline.segments
+    true, segments = outline.corners.p_world, outline.segments
     if len(obstacles.faces):
         true = np.concatenate([true, obstacles.corners]) if len(obstacles.corners) else true
         segments = np.concatenate([segments, obstacles.faces])

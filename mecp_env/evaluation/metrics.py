@@ -223,7 +223,7 @@ class EpisodeMetrics:
         """
         corner, still = self.association.corners_of(belief.ids), len(truth.outline.corners)
         fixed = np.where(corner < still, corner, -1)
-        errors = landmark_errors(truth.outline.corners, belief, fixed, self.T_world_map)
+        errors = landmark_errors(truth.outline.corners.p_world, belief, fixed, self.T_world_map)
         rmse = math.sqrt(float(np.mean(errors[fixed >= 0] ** 2))) if (fixed >= 0).any() else 0.0
         return rmse, int((corner < 0).sum())
 

@@ -33,6 +33,19 @@ CIRCLE = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])  # a polygon within 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class TrueCorners:
+    """The corners of the building and of its obstacles; round obstacles have none."""
+
+    p_world: Array  # (n,2) m
+    convex: Bools  # (n,) the solid fills less than 180 degrees
+    faces: Array  # (n,2) m, lengths of the faces before and after
+    normals: Array  # (n,2) rad, of the faces before and after, towards free space
+
+    def __len__(self) -> int:
+        return len(self.p_world)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Doors:
     """The doorways."""
 
@@ -54,7 +67,7 @@ class Outline:
     name: str
     segments: Array  # (S,2,2) m, start and end of each face, free space on the left
     round: Bools  # (S,) face of a round obstacle
-    corners: Array  # (n,2) m, of the building and of its obstacles; round obstacles have none
+    corners: TrueCorners
     doors: Doors
     free_area: Polygon  # the free area: connected, doorways included
     rooms: tuple[Polygon, ...]  # floors, up to the middle of the walls
@@ -91,7 +104,7 @@ def build_outline(layout: Layout) -> Outline:
         name=layout.name,
         segments=segments,
         round=is_round,
-        corners=segments[~(is_round | is_round[before]), 0],
+        corners=_corners(segments, before, is_round),
         doors=doors,
         free_area=free_area,
         rooms=tuple(Polygon(room.polygon) for room in layout.rooms),
@@ -249,3 +262,16 @@ def _round_faces(layout: Layout, segments: Array) -> Bools:
         off = np.abs(np.linalg.norm(segments - np.array(pillar.centre), axis=2) - pillar.radius_m)
         is_round |= np.all(off < SAME_M, axis=1)
     return is_round
+
+
+def _corners(segments: Array, before: Ints, is_round: Bools) -> TrueCorners:
+    """A corner at the start of every face that follows a straight face."""
+    chosen = np.flatnonzero(~(is_round | is_round[before]))
+    first, second = segments[before[chosen]], segments[chosen]
+    u, v = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
+    return TrueCorners(
+        p_world=np.ascontiguousarray(second[:, 0]),
+        convex=u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0,
+        faces=np.column_stack([np.hypot(*u.T), np.hypot(*v.T)]),
+        normals=np.column_stack([np.arctan2(u[:, 0], -u[:, 1]), np.arctan2(v[:, 0], -v[:, 1])]),
+    )

@@ -108,7 +108,7 @@ def identities(seen, true, segments, pose, gate):
 
 def test_identities_of_exact_corners_are_their_own(truth):
     pose = truth.outline.starts[0]
-    corners = truth.outline.corners
+    corners = truth.outline.corners.p_world
     visible = line_of_sight(truth.outline.segments, pose[0], pose[1], corners)
     args = (corners, truth.outline.segments, pose, 0.3)
     seen = corners[visible] + 0.01
@@ -356,7 +356,7 @@ def test_an_episode_adds_up_until_a_wrong_pose_makes_it_lost():
 
 def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
     """A map that slid by 0.5 m, as after an unnoticed wrong pose, is 0.5 m wrong, however well its parts fit."""
-    metrics, corners = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5])), truth.outline.corners
+    metrics, corners = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5])), truth.outline.corners.p_world
     at = np.array([corners[0], corners[1] + [0.3, 0.4], corners[1], [1.0, 1.5]])
     metrics.association.features[:3, 0] = 0, 1, 1
     p_map = to_map(inverse(metrics.T_world_map), at)
@@ -371,7 +371,7 @@ def test_the_error_of_the_map_is_measured_in_the_map_frame(truth):
 
 def test_landmarks_where_somebody_walked_and_that_are_no_corner_sit_on_what_moves(truth):
     metrics = EpisodeMetrics.begin(truth, np.array([1.0, 1.0, 0.5]))
-    corner = truth.outline.corners[0]
+    corner = truth.outline.corners.p_world[0]
     for place in np.array([[2.0, 2.0, 0.25], [2.3, 2.0, 0.25], [*corner, 0.25]]):
         metrics.look(
             truth, np.array([1.0, 1.0, 0.5]), nothing_seen(belief()), NO_OBSTACLES._replace(walking=place[None])

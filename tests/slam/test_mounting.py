@@ -28,7 +28,7 @@ def sensor_of(**view):
 def off_corners(output, drive):
     """Distance (N,) m of each landmark from the nearest true corner."""
     p_world = to_map(drive.T_world_robot[0], np.ascontiguousarray(output.belief.p_map))
-    away = p_world[:, None] - drive.outline.corners[None]
+    away = p_world[:, None] - drive.outline.corners.p_world[None]
     return np.hypot(away[..., 0], away[..., 1]).min(axis=1)
 
 

@@ -93,7 +93,7 @@ def test_landmarks_lie_in_the_room_of_their_corner(drive, steps):
     pipeline = steps[-1][0]
     for landmark in steps[-1][1].belief.ids.tolist():
         if pipeline.map.features.rows["kind"][landmark] != int(CornerKind.JAMB):
-            west = drive.outline.corners[identity[landmark], 0] < 5.0
+            west = drive.outline.corners.p_world[identity[landmark], 0] < 5.0
             assert pipeline.rooms.resolve(int(pipeline.map.features.rows["room"][landmark])) == (0 if west else 1)
 
 

@@ -14,7 +14,12 @@ def motion(*arcs: Any, steps: int = 1, contact: bool = False) -> Motion:
 
 
 def jambs_of(outline: Outline) -> Any:
-    """(d,n) which corners are jambs of each door; those of a gap may be a little off."""
-    rings = [door_ring(outline.doors, door, 0.0) for door in range(len(outline.doors))]
-    far = np.array([np.linalg.norm(outline.corners[:, None] - ring, axis=2).min(axis=1) for ring in rings])
-    return far < np.where(outline.doors.gap, GAP_POST_M, 1e-4)[:, None]
+    """(d,n) which corners are jambs of each door: of a gap, the convex ones nearest to its own four."""
+    corners, doors = outline.corners, outline.doors
+    jambs = np.zeros((len(doors), len(corners)), bool)
+    for door, gap in enumerate(doors.gap):
+        far = np.linalg.norm(corners.p_world[:, None] - door_ring(doors, door, 0.0), axis=2)
+        far[gap & ~corners.convex] = np.inf
+        near = far.min(axis=0) < (GAP_POST_M if gap else 1e-4)
+        jambs[door, far.argmin(axis=0)[near]] = True
+    return jambs

@@ -68,7 +68,7 @@ def check_furniture(spec: GeneratorSpec, layout: Layout) -> None:
 
 def check_corners(outline: Outline) -> None:
     """No two corners that see each other nearer than stated, but those of the end of a wall."""
-    corners, jamb = outline.corners, jambs_of(outline).any(axis=0)
+    corners, jamb = outline.corners.p_world, jambs_of(outline).any(axis=0)
     for a, b in cKDTree(corners).query_pairs(CORNERS_APART_M - 1e-6):
         across = outline.free_area.covers(LineString([corners[a], corners[b]]))
         assert (jamb[a] and jamb[b]) or not across

@@ -177,7 +177,7 @@ def test_the_draws_are_those_of_the_generators_integers(two_rooms: Outline, swee
 
 
 def test_line_of_sight_agrees_with_the_rays(outline: Outline) -> None:
-    laser, points = Laser(outline, IDEAL), outline.corners
+    laser, points = Laser(outline, IDEAL), outline.corners.p_world
     for pose in poses(outline, 20, seed=7):
         away = points - pose[:2]
         distance = np.hypot(*away.T)

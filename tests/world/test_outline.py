@@ -36,12 +36,24 @@ def test_two_rooms_by_hand(two_rooms: Outline) -> None:
     west, east = 5.0 - HALF, 5.0 + HALF
     expected = {(x, y) for x in (OUTER, west, east, 9.0 - OUTER) for y in (OUTER, 5.0 - OUTER)}
     jambs = {(x, y) for x in (west, east) for y in (1.35, 2.25)}
-    points = [tuple(p) for p in two_rooms.corners.round(9).tolist()]
+    corners = two_rooms.corners
+    points = [tuple(p) for p in corners.p_world.round(9).tolist()]
     assert set(points) == {(round(x, 9), round(y, 9)) for x, y in expected | jambs}
     assert len(points) == 12
-    assert {points[corner] for corner in np.flatnonzero(jambs_of(two_rooms)[0])} == jambs
-    places = np.array([(1.0, 1.0), (8.0, 1.0), (12.0, 1.0), (-3.0, 2.0)])
-    assert two_rooms.room_at(places).tolist() == [0, 1, -1, -1]
+    assert {p for p, convex in zip(points, corners.convex, strict=True) if convex} == jambs
+    assert np.array_equal(corners.convex, jambs_of(two_rooms)[0])
+
+
+def test_normals_and_face_lengths_by_hand(two_rooms: Outline) -> None:
+    corners = two_rooms.corners
+    south_west = int(np.argmin(corners.p_world.sum(axis=1)))
+    assert corners.normals[south_west] == pytest.approx([0.0, math.pi / 2.0])  # west wall first, then the south wall
+    assert corners.faces[south_west] == pytest.approx([5.0 - 2 * OUTER, 5.0 - OUTER - HALF])
+    jamb = int(np.argmin(np.linalg.norm(corners.p_world - (5.0 - HALF, 1.35), axis=1)))
+    assert corners.normals[jamb] == pytest.approx([math.pi, math.pi / 2.0])  # along the wall, then through the door
+    assert corners.faces[jamb] == pytest.approx([1.35 - OUTER, 2 * HALF])
+    points = np.array([(1.0, 1.0), (8.0, 1.0), (12.0, 1.0), (-3.0, 2.0)])
+    assert two_rooms.room_at(points).tolist() == [0, 1, -1, -1]
 
 
 def test_faces_have_free_space_on_their_left(outline: Outline) -> None:
@@ -59,14 +71,19 @@ def test_faces_close_and_enclose_the_free_area(outline: Outline) -> None:
     assert 0.5 * np.sum(x0 * y1 - x1 * y0) == pytest.approx(outline.free_area.area, abs=1e-6)
 
 
-def test_each_door_has_four_jambs_and_other_corners_are_apart(outline: Outline) -> None:
-    doors, jambs = outline.doors, jambs_of(outline)
+def test_corners_belong_to_rooms_and_doors(outline: Outline) -> None:
+    """Separable: faces are 0.35 m or longer, but for those through doors, as long as the wall is thick."""
+    corners, doors, jambs = outline.corners, outline.doors, jambs_of(outline)
+    jamb = jambs.any(axis=0)
+    assert np.all(corners.faces[jamb].min(axis=1) <= 0.15 + 1e-9)
+    assert corners.faces[~jamb].min() >= 0.35
+    assert corners.faces[jamb].max(axis=1).min() >= 0.35
     assert jambs.sum(axis=1).tolist() == [4] * len(doors)
-    for door in range(len(doors)):
-        away = np.linalg.norm(outline.corners[jambs[door]] - doors.centre[door], axis=1)
-        assert away == pytest.approx(math.hypot(doors.width[door] / 2.0, doors.thickness[door] / 2.0))
-    lengths = np.linalg.norm(np.diff(outline.segments[~outline.round], axis=1)[:, 0], axis=1)
-    assert ((lengths >= 0.35) | (lengths <= 0.15 + 1e-9)).all()  # the short ones lead through doors
+    for index in range(len(doors)):
+        assert set(outline.room_at(corners.p_world[jambs[index]])) == set(doors.rooms[index])
+        assert np.linalg.norm(corners.p_world[jambs[index]] - doors.centre[index], axis=1) == pytest.approx(
+            math.hypot(doors.width[index] / 2.0, doors.thickness[index] / 2.0)
+        )
 
 
 def test_doors_lead_from_the_first_room_to_the_second(outline: Outline) -> None:
@@ -89,19 +106,26 @@ def test_a_pillar_has_faces_but_no_corners() -> None:
     assert (5.88 * 3.88 - free) == pytest.approx(math.pi * 0.09, rel=0.01)
 
 
-def test_a_turned_box_has_four_corners() -> None:
+def test_a_turned_box_has_four_convex_corners() -> None:
     outline = built([], [{"kind": "box", "centre": [3, 2], "size": [1, 0.5], "turn_deg": 30}])
-    box = outline.corners[np.linalg.norm(outline.corners - (3, 2), axis=1) < 1.0]
-    assert np.linalg.norm(box - (3, 2), axis=1) == pytest.approx([math.hypot(0.5, 0.25)] * 4, abs=1e-5)
+    convex = outline.corners.convex
+    assert convex.sum() == 4
+    assert np.sort(outline.corners.faces[convex].ravel()) == pytest.approx([0.5] * 4 + [1.0] * 4, abs=1e-5)
+    assert np.linalg.norm(outline.corners.p_world[convex] - (3, 2), axis=1) == pytest.approx(
+        math.hypot(0.5, 0.25), abs=1e-5
+    )
 
 
-def test_a_slanted_wall_makes_two_corners() -> None:
-    assert len(built([{"points": [(4, 0), (6, 2)]}]).corners) == 5
+def test_a_slanted_wall_makes_obtuse_corners() -> None:
+    outline = built([{"points": [(4, 0), (6, 2)]}])
+    turns = np.degrees(np.diff(outline.corners.normals, axis=1)).ravel() % 360.0
+    assert sorted(turns.round(6)) == [45.0, 45.0, 90.0, 90.0, 90.0]
+    assert not outline.corners.convex.any()
 
 
 def test_what_cannot_be_reached_is_left_out() -> None:
     outline = built([{"points": [(2, 0), (2, 4)]}], start=(4.0, 2.0))
-    assert outline.corners[:, 0].min() == pytest.approx(2.06)
+    assert outline.corners.p_world[:, 0].min() == pytest.approx(2.06)
 
 
 @pytest.mark.parametrize("start", [(0.0, 2.0), (-5.0, 0.0)])
