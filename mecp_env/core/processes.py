@@ -235,9 +235,8 @@ def _as_worker(method: str) -> Iterator[None]:
     This process receives it afterwards. Libraries of a forked process keep the threads that they have here.
     """
     before = {name: os.environ.get(name) for name in THREADS}
-    can_block = threading.current_thread() is threading.main_thread() and hasattr(
-        signal, "pthread_sigmask"
-    )  # not on Windows
+    in_main = threading.current_thread() is threading.main_thread()
+    can_block = in_main and hasattr(signal, "pthread_sigmask")  # not on Windows
     if can_block and method != "fork":
         resource_tracker.ensure_running()  # its start would unblock the signal
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else None  # which a process inherits
