@@ -106,7 +106,7 @@ def building_figures(layout: Layout) -> BuildingFigures:
     return BuildingFigures(
         rooms=len(outline.rooms),
         doors=len(outline.doors),
-        loops=_loops(outline),
+        loops=len(outline.doors) - len(outline.rooms) + _joined(outline, np.ones(len(outline.doors), np.bool_))[0],
         floor_m2=float(outline.free_area.area),
         faces=len(outline.segments),
         corners=len(outline.corners),
@@ -115,13 +115,6 @@ def building_figures(layout: Layout) -> BuildingFigures:
         width_m=x1 - x0,
         height_m=y1 - y0,
     )
-
-
-def _loops(outline: Outline) -> int:
-    """Independent rings of the graph of rooms and doors."""
-    doors = len(outline.doors)
-    groups, _ = _joined(outline, np.ones(doors, np.bool_))
-    return doors - len(outline.rooms) + groups
 
 
 def _corridor_m(room: Polygon) -> float:

@@ -51,7 +51,9 @@ def furnish(
     As the layout has them, and the circles (c,3) around all of them: x, y, radius, m. Each room has its share; what
     does not fit there is put into another one.
     """
-    rooms = [_room(index, space, doors, thickness) for index, space in enumerate(spaces) if not space.corridor]
+    middles = [[door.centre for door in doors if room in door.rooms] for room in range(len(spaces))]
+    plain = [(space.ring, here) for space, here in zip(spaces, middles, strict=True) if not space.corridor]
+    rooms = [Room(np.array(ring), np.array(here).reshape(-1, 2), thickness) for ring, here in plain]
     areas = np.array([ring_area(room.ring.tolist()) for room in rooms])
     wanted = spec.furniture * float(areas.sum()) / 10.0
     if wanted == 0.0:
@@ -104,11 +106,6 @@ class Room:
         self.pieces.append(places.obstacle(first))
         self.circles = np.concatenate([self.circles, circles])
         return True
-
-
-def _room(index: int, space: Space, doors: list[Opening], thickness: float) -> Room:
-    here = [door.centre for door in doors if index in door.rooms]
-    return Room(np.array(space.ring), np.array(here).reshape(-1, 2), thickness)
 
 
 def ring_area(ring: Sequence[Point]) -> float:
