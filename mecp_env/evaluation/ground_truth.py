@@ -46,15 +46,6 @@ class FloorAndWalls(NamedTuple):
     p_walls: Array  # (w,2) m
 
 
-def floor_and_walls(centres: Array, free: Bools, segments: Array) -> FloorAndWalls:
-    """The cells of a raster with centres (H,W,2) that are `free` (H,W), and the faces (S,2,2) m as points."""
-    p_world = np.ascontiguousarray(centres[free])
-    lines = shapely.segmentize(shapely.linestrings(segments), SPACING_M)
-    p_walls = shapely.get_coordinates(lines)
-    _, wall = cKDTree(p_walls).query(p_world)
-    return FloorAndWalls(p_world, np.asarray(wall, np.int64), p_walls)
-
-
 def correct_coverage(floor: FloorAndWalls, grid: SemanticGrid, T_world_map: Array) -> float:
     """Share of the true free cells that the map calls FREE or DOOR, and whose nearest true wall is in the map.
 
@@ -191,7 +182,11 @@ class GroundTruth:
     @cached_property
     def floor_and_walls(self) -> FloorAndWalls:
         """The free cells, each with the place on a wall that is nearest to it."""
-        return floor_and_walls(self.centres, self.free, self.outline.segments)
+        p_world = np.ascontiguousarray(self.centres[self.free])
+        lines = shapely.segmentize(shapely.linestrings(self.outline.segments), SPACING_M)
+        p_walls = shapely.get_coordinates(lines)
+        _, wall = cKDTree(p_walls).query(p_world)
+        return FloorAndWalls(p_world, np.asarray(wall, np.int64), p_walls)
 
     def room_at(self, p_world: Array) -> int:
         """Index of the room at `p_world` (2,), or -1."""
@@ -275,17 +270,6 @@ def _face_error(truth: GroundTruth, door: Door, belief: Belief, T_world_map: Arr
     known = [face for face in (door.jambs, door.other_face) if face is not None]
     p_map = np.array([belief.p_map[belief.rows(np.array(face))].mean(axis=0) for face in known])
     return float(cdist(to_map(T_world_map, p_map), faces).min(axis=1).mean())
-
-
-def landmark_errors(p_world: Array, belief: Belief, corner: Ints, T_world_map: Array) -> Array:
-    """(N,) m: distance of each landmark from the true corner that it is of, nan for one that is of none.
-
-    `p_world` (C,2) are the true corners, `corner` (N,) is the index of that of each landmark, -1 for none. Measured in
-    the map frame, which is where the robot believed to start: nothing is fitted, so that a map that slides off counts.
-    """
-    away = to_map(T_world_map, np.ascontiguousarray(belief.p_map)) - p_world[corner]
-    errors: Array = np.where(corner >= 0, np.hypot(away[:, 0], away[:, 1]), np.nan)
-    return errors
 
 
 def covers(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:

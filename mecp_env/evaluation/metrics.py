@@ -23,7 +23,6 @@ from mecp_env.evaluation.ground_truth import (
     door_error,
     doors_found,
     grid_iou,
-    landmark_errors,
     rooms_found,
 )
 from mecp_env.evaluation.metric_arrays import LostWatch
@@ -219,12 +218,13 @@ class EpisodeMetrics:
     def map_error(self, truth: GroundTruth, belief: Belief) -> tuple[float, int]:
         """RMSE (m) of the landmarks from their true corners, 0 without one, and how many are of no true corner.
 
-        Corners of boxes, which move, count for neither.
+        Corners of boxes, which move, count for neither. Measured in the map frame, which is where the robot believed to
+        start: nothing is fitted, so that a map that slides off counts.
         """
-        corner, still = self.association.corners_of(belief.ids), len(truth.outline.corners)
-        fixed = np.where(corner < still, corner, -1)
-        errors = landmark_errors(truth.outline.corners.p_world, belief, fixed, self.T_world_map)
-        rmse = math.sqrt(float(np.mean(errors[fixed >= 0] ** 2))) if (fixed >= 0).any() else 0.0
+        corner, true = self.association.corners_of(belief.ids), truth.outline.corners.p_world
+        fixed = (corner >= 0) & (corner < len(true))
+        away = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))[fixed] - true[corner[fixed]]
+        rmse = math.sqrt(float(np.mean(np.hypot(away[:, 0], away[:, 1]) ** 2))) if fixed.any() else 0.0
         return rmse, int((corner < 0).sum())
 
     def _compare_pose(self, belief: Belief) -> None:
