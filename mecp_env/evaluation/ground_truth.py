@@ -75,14 +75,6 @@ class MapQuality:
         self.over_steps += self.correct_coverage
         self.over_metres += counted * self.correct_coverage
 
-    def mean_over_steps(self, steps: int, limit: int) -> float:
-        """Mean over the step limit, the last value held after `steps`."""
-        return (self.over_steps + max(0, limit - steps) * self.correct_coverage) / limit
-
-    def mean_over_metres(self, budget_m: float) -> float:
-        """Mean over the first `budget_m` metres, the last value held."""
-        return (self.over_metres + (budget_m - self.metres) * self.correct_coverage) / budget_m
-
 
 class DynamicObstacles(NamedTuple):
     """The dynamic obstacles of one step, in the world frame."""

@@ -174,12 +174,15 @@ class EpisodeMetrics:
 
         After the last step they hold: a mean until now would favour an episode that ends early with little.
         """
-        held = max(0, self.max_steps - self.steps) * self.seen_cells
-        free_m2 = truth.free_cells * metric_arrays.CELL_M**2
+        left, quality = max(0, self.max_steps - self.steps), self.quality
+        most_m = budget_m(truth.free_cells * metric_arrays.CELL_M**2)
+        seen = self.seen_over_steps + left * self.seen_cells
+        over_steps = quality.over_steps + left * quality.correct_coverage
+        over_metres = quality.over_metres + (most_m - quality.metres) * quality.correct_coverage
         return {
-            "coverage_over_steps": (self.seen_over_steps + held) / (self.max_steps * truth.free_cells),
-            "correct_coverage_over_steps": self.quality.mean_over_steps(self.steps, self.max_steps),
-            "correct_coverage_over_metres": self.quality.mean_over_metres(budget_m(free_m2)),
+            "coverage_over_steps": seen / (self.max_steps * truth.free_cells),
+            "correct_coverage_over_steps": over_steps / self.max_steps,
+            "correct_coverage_over_metres": over_metres / most_m,
         }
 
     def in_map(self, T_world_robot: Array) -> Array:

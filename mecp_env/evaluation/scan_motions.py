@@ -145,7 +145,8 @@ def _registered(
     T_laser, found = between(T_robot_laser, composed(steps, T_robot_laser)), list[tuple[Array, Array, Array]]()
     for step, expected, past, now in zip(steps, T_laser, views[:-1], views[1:], strict=True):
         prior = expected, _prior(step)
-        one = register_all(past.surfaces, now.surfaces, past.beams, prior, limits) if _is_short(step) else None
+        is_short = math.hypot(*step[:2]) < MOST_M and abs(float(step[2])) < MOST_RAD
+        one = register_all(past.surfaces, now.surfaces, past.beams, prior, limits) if is_short else None
         if one is not None and one.is_sound(prior, limits) and _size(one.T_past_now[None])[0] > AT_REST:
             found.append((step, one.T_past_now, one.cov(single)))
     return found
@@ -174,10 +175,6 @@ def _blocks(rows: Ints) -> list[Ints]:
     firsts = np.arange(0, len(rows) - 1, BLOCK)
     spread = np.linspace(0, len(firsts) - 1, min(BLOCKS, len(firsts))).astype(np.int64)
     return [rows[first : first + BLOCK + 1] for first in firsts[spread]]
-
-
-def _is_short(step: Array) -> bool:
-    return math.hypot(*step[:2]) < MOST_M and abs(float(step[2])) < MOST_RAD
 
 
 def _prior(step: Array) -> Array:
