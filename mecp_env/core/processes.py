@@ -228,6 +228,15 @@ def _cause(exit_code: int | None) -> str:
     return f"was killed by {signals[exit_code]}" if exit_code in signals else f"ended with exit code {exit_code}"
 
 
+def _blocked_mask(method: str) -> set[int | signal.Signals] | None:
+    """The signals that were blocked here before; Ctrl-C now is. None in another thread, and on Windows."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        return None
+    if method != "fork":
+        resource_tracker.ensure_running()  # its start would unblock the signal
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}))
+
+
 @contextlib.contextmanager
 def _as_worker(method: str) -> Iterator[None]:
     """A process started in it uses one thread per library, and never receives Ctrl-C, also while it imports.
@@ -235,11 +244,7 @@ def _as_worker(method: str) -> Iterator[None]:
     This process receives it afterwards. Libraries of a forked process keep the threads that they have here.
     """
     before = {name: os.environ.get(name) for name in THREADS}
-    in_main = threading.current_thread() is threading.main_thread()
-    can_block = in_main and hasattr(signal, "pthread_sigmask")  # not on Windows
-    if can_block and method != "fork":
-        resource_tracker.ensure_running()  # its start would unblock the signal
-    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if can_block else None  # which a process inherits
+    mask = _blocked_mask(method)
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield

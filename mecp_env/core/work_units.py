@@ -36,6 +36,7 @@ CONNECT_S = 5.0  # until a machine that does not answer has no cluster
 ONE_TRY = "RAY_NUM_REDIS_GET_RETRIES", "1"  # of 40 s each to reach the head, for a cluster that runs already
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
+Busy = dict[Worker, tuple[int, Any]]  # the numbered units of workers
 START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
 POLL_S = 0.2  # how long results are waited for, before Python can see an interrupt
 FORMAT, VERSION = "mecp_env result", 1
@@ -148,25 +149,33 @@ def run_units(
     if jobs == 1:
         yield from ((number, attempt(task, unit)) for number, unit in numbered)
         return
-    idle, busy, finished = list[Worker](), dict[Worker, tuple[int, Unit]](), list[tuple[int, Any]]()
+    busy: Busy = {}
+    idle = list[Worker]()
     try:
-        while True:
-            for number, unit in islice(numbered, jobs - len(busy)):
-                worker = idle.pop() if idle else Worker(task, "its process", START)
-                busy[worker] = number, unit
-                with suppress(WorkerDied):  # which its answer will say
-                    worker.ask("__call__", unit)
-            yield from finished
-            if not busy:
-                return
-            pipes: Any = wait([worker.pipe for worker in busy], POLL_S)
-            ready = [worker for worker in busy if worker.pipe in pipes]
-            finished = [(busy[worker][0], _answer(worker, busy.pop(worker)[1], idle)) for worker in ready]
+        while _hand_out(task, islice(numbered, jobs - len(busy)), busy, idle):
+            yield from _finished(busy, idle)
     finally:
         for worker in (*busy, *idle):
             worker.process.terminate()
         for worker in (*busy, *idle):
             worker.stop()
+
+
+def _hand_out(task: Any, units: Iterable[tuple[int, Any]], busy: Busy, idle: list[Worker]) -> bool:
+    """Give numbered units to idle workers, or to new ones; whether any worker has one then."""
+    for number, unit in units:
+        worker = idle.pop() if idle else Worker(task, "its process", START)
+        busy[worker] = number, unit
+        with suppress(WorkerDied):  # which its answer will say
+            worker.ask("__call__", unit)
+    return bool(busy)
+
+
+def _finished(busy: Busy, idle: list[Worker]) -> list[tuple[int, Any]]:
+    """What is finished within a moment."""
+    pipes: Any = wait([worker.pipe for worker in busy], POLL_S)
+    ready = [(worker, busy.pop(worker)) for worker in list(busy) if worker.pipe in pipes]
+    return [(number, _answer(worker, unit, idle)) for worker, (number, unit) in ready]
 
 
 def _answer(worker: Worker, unit: Any, idle: list[Worker]) -> Any:

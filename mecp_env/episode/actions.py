@@ -43,10 +43,14 @@ def velocity_pair(action: Any) -> tuple[float, float]:
                 f"action: expected an array of 2 floats in [-1, 1], given shape {action.shape}, dtype {action.dtype}"
             )
         return float(action[0]), float(action[1])
-    numbers = [value for value in action if isinstance(value, NUMBERS)] if isinstance(action, list | tuple) else []
-    if len(numbers) != 2 or len(action) != 2 or any(isinstance(value, bool) for value in numbers):
+    if not isinstance(action, list | tuple) or len(action) != 2 or not all(is_number(value) for value in action):
         raise ActionError(f"action: expected 2 floats in [-1, 1], given {type(action).__name__} {action!r:.80}")
     return to_float(action[0]), to_float(action[1])
+
+
+def is_number(value: Any) -> bool:
+    """True for an int or a float of Python or NumPy; a bool is none."""
+    return isinstance(value, NUMBERS) and not isinstance(value, bool)
 
 
 def to_float(value: Any) -> float:

@@ -50,10 +50,7 @@ def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:
     Raises `ConfigError`, also when the robot is too large for the layout's own start, or for any drawn one.
     """
     if isinstance(start, str) and start == "random":
-        try:
-            random_free_pose(outline, np.random.default_rng(0), robot.radius_m + CLEARANCE_M)
-        except LayoutError as error:
-            raise ConfigError(f"robot.radius_m: {robot.radius_m} m: {error}") from None
+        check_space(outline, robot)
         return start
     own = isinstance(start, str) and start == "layout"
     pose = to_pose(outline.starts[0] if own else start)
@@ -63,6 +60,14 @@ def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:
     if room < robot.radius_m:
         raise ConfigError(f"start: {pose} is {room:.3f} m from a wall, at least robot.radius_m = {robot.radius_m}")
     return "layout" if own else pose
+
+
+def check_space(outline: Outline, robot: RobotConfig) -> None:
+    """Raise `ConfigError` when there is no place where the robot touches nothing."""
+    try:
+        random_free_pose(outline, np.random.default_rng(0), robot.radius_m + CLEARANCE_M)
+    except LayoutError as error:
+        raise ConfigError(f"robot.radius_m: {robot.radius_m} m: {error}") from None
 
 
 def to_pose(start: Any) -> tuple[float, float, float]:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -45,28 +45,25 @@ class Places(NamedTuple):
 
 def furnish(
     spaces: list[Space], doors: list[Opening], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> tuple[list[dict[str, Any]], Array]:
-    """The furniture of all rooms but the corridors, as many pieces as the specification says. Raises `Rejected`.
+) -> list[Room]:
+    """All rooms but the corridors, with as many pieces of furniture as the specification says. Raises `Rejected`.
 
-    As the layout has them, and the circles (c,3) around all of them: x, y, radius, m. Each room has its share; what
-    does not fit there is put into another one.
+    Each room has its share; what does not fit there is put into another one.
     """
-    middles = [[door.centre for door in doors if room in door.rooms] for room in range(len(spaces))]
-    plain = [(space.ring, here) for space, here in zip(spaces, middles, strict=True) if not space.corridor]
-    rooms = [Room(np.array(ring), np.array(here).reshape(-1, 2), thickness) for ring, here in plain]
+    rooms = [_room(index, space, doors, thickness) for index, space in enumerate(spaces) if not space.corridor]
     areas = np.array([ring_area(room.ring.tolist()) for room in rooms])
     wanted = spec.furniture * float(areas.sum()) / 10.0
     if wanted == 0.0:
-        return [], np.empty((0, 3))
+        return rooms
     shares = zip(rooms, _counts(areas, round(wanted), rng), strict=True)
     left: list[str] = []
     for room, count in shares:
         left += [kind for kind in rng.choice(spec.pieces, count).tolist() if not room.put(kind, rng)]
     _elsewhere(left, rooms, spec, rng)
-    placed = list(chain.from_iterable(room.pieces for room in rooms))
-    if len(placed) < min(round(wanted), LEAST_SHARE * wanted):
-        raise Rejected("furniture", spec.furniture * len(placed) / wanted)
-    return placed, np.concatenate([room.circles for room in rooms])
+    placed = sum(len(room.pieces) for room in rooms)
+    if placed < min(round(wanted), LEAST_SHARE * wanted):
+        raise Rejected("furniture", spec.furniture * placed / wanted)
+    return rooms
 
 
 def _counts(areas: Array, total: int, rng: np.random.Generator) -> list[int]:
@@ -91,8 +88,8 @@ class Room:
     ring: Array  # (n,2) m
     doors: Array  # (d,2) m, their middles
     thickness: float  # m, of the walls
-    circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
-    pieces: list[dict[str, Any]] = field(default_factory=list)
+    circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # x, y, radius, m: around all pieces
+    pieces: list[dict[str, Any]] = field(default_factory=list)  # as the layout has them
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Place a piece where it blocks no passage; False where no such place was found."""
@@ -106,6 +103,11 @@ class Room:
         self.pieces.append(places.obstacle(first))
         self.circles = np.concatenate([self.circles, circles])
         return True
+
+
+def _room(index: int, space: Space, doors: list[Opening], thickness: float) -> Room:
+    here = [door.centre for door in doors if index in door.rooms]
+    return Room(np.array(space.ring), np.array(here).reshape(-1, 2), thickness)
 
 
 def ring_area(ring: Sequence[Point]) -> float:

@@ -17,7 +17,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import shown
 from mecp_env.world.config import GeneratorSpec, Rejected
-from mecp_env.world.furniture import edge_distances, furnish, inside
+from mecp_env.world.furniture import Room, edge_distances, furnish, inside
 from mecp_env.world.partition import (
     Line,
     Opening,
@@ -90,8 +90,8 @@ def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout
         raise Rejected("slanted_corners", len(slants))
     lines = borders(spaces)
     doors = plan_doors(spaces, shared_stretches(lines), thickness, spec, rng)
-    furniture, circles = furnish(spaces, doors, thickness, spec, rng)
-    starts = _starts(spaces, circles, rng)
+    furnished = furnish(spaces, doors, thickness, spec, rng)
+    starts = _starts(spaces, furnished, rng)
     if not starts:
         raise Rejected("furniture")
     turned, names = _Turned(math.radians(rng.uniform(*spec.turned_deg))), _names(spaces)
@@ -100,7 +100,7 @@ def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout
         walls=[{"points": turned.line(w), "thickness_m": thickness} for w in joined(wall_lines(lines), slants)],
         rooms=[{"name": n, "polygon": turned.line(s.ring)} for n, s in zip(names, spaces, strict=True)],
         doors=[turned.door(door, names) for door in doors],
-        obstacles=[turned.piece(piece) for piece in furniture],
+        obstacles=turned.furniture(furnished),
         starts=[{"point": turned.point(p), "heading_deg": turned.heading(heading)} for p, heading in starts],
     )
 
@@ -127,8 +127,9 @@ def _cut(ring: list[Point], corner: Point, rng: np.random.Generator) -> tuple[Po
     return ends[0], ends[1]
 
 
-def _starts(spaces: list[Space], circles: Array, rng: np.random.Generator) -> list[tuple[Point, float]]:
-    """A start in each of a few rooms in random order, off the circles (c,3): point and heading in degrees."""
+def _starts(spaces: list[Space], rooms: list[Room], rng: np.random.Generator) -> list[tuple[Point, float]]:
+    """A start in each of a few rooms in random order: point and heading in degrees."""
+    circles = np.concatenate([room.circles for room in rooms])
     order = rng.permutation(len(spaces)).tolist()
     points = (_free_point(np.array(spaces[index].ring), circles, rng) for index in order)
     found = [point for point in islice(points, 2 * MOST_STARTS) if point is not None]
@@ -162,6 +163,9 @@ class _Turned:
     def door(self, door: Opening, names: list[str]) -> dict[str, Any]:
         rooms, heading = (names[door.rooms[0]], names[door.rooms[1]]), self.heading(math.degrees(door.heading))
         return {"centre": self.point(door.centre), "width_m": door.width, "rooms": rooms, "direction_deg": heading}
+
+    def furniture(self, rooms: list[Room]) -> list[dict[str, Any]]:
+        return [self.piece(piece) for room in rooms for piece in room.pieces]
 
     def piece(self, piece: dict[str, Any]) -> dict[str, Any]:
         turn = {"turn_deg": self.heading(piece["turn_deg"])} if "turn_deg" in piece else {}

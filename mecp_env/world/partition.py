@@ -86,11 +86,17 @@ def _items(spec: GeneratorSpec, rng: np.random.Generator) -> list[Item]:
     shapes += ["rectangle"] * plain + ["yard"] * spec.yards
     sides = rng.uniform(*spec.room_side_m, len(shapes)).tolist()
     roomy = {"rectangle": 1.0, "yard": 1.0, "L": 1.7, "U": 2.0, "T": 2.4}
-    least = {shape: 1.25 * width * height for shape in roomy for width, height in [_least_sides(shape)]}
-    areas = [max(side * side * roomy[shape], least[shape]) for shape, side in zip(shapes, sides, strict=True)]
-    items = [Item(shape, area) for shape, area in zip(shapes, areas, strict=True)]
+    items = [
+        Item(shape, max(side * side * roomy[shape], _least_area(shape)))
+        for shape, side in zip(shapes, sides, strict=True)
+    ]
     rank = [item.area * share for item, share in zip(items, rng.uniform(0.5, 2.0, len(items)).tolist(), strict=True)]
     return [items[i] for i in np.argsort(rank).tolist()]  # large ones rather beside large ones, or nothing fits
+
+
+def _least_area(shape: str) -> float:
+    width, height = _least_sides(shape)
+    return 1.25 * width * height
 
 
 def _least_sides(shape: str) -> tuple[float, float]:
@@ -108,12 +114,20 @@ def _fill(
         return _leaf(rect, items[0], rng)
     cuts = (_divide(rect, items, corridors, spec, rng) for _ in range(CUTS))
     likely = (cut for cut in cuts if _plausible(*cut[1][0]) and _plausible(*cut[1][1]))
-    for corridor, (one, other) in islice(likely, ATTEMPTS):
-        first = _fill(*one, spec, rng)
-        second = None if first is None else _fill(*other, spec, rng)
-        if first is not None and second is not None:
-            return corridor + first + second
+    for corridor, parts in islice(likely, ATTEMPTS):
+        spaces = _fill_both(parts, spec, rng)
+        if spaces is not None:
+            return corridor + spaces
     return None
+
+
+def _fill_both(
+    parts: list[tuple[Rect, list[Item], int]], spec: GeneratorSpec, rng: np.random.Generator
+) -> list[Space] | None:
+    """The rooms of two parts, or None when one of them cannot be divided."""
+    first = _fill(*parts[0], spec, rng)
+    second = None if first is None else _fill(*parts[1], spec, rng)
+    return None if first is None or second is None else first + second
 
 
 def _plausible(rect: Rect, items: list[Item], corridors: int) -> bool:
