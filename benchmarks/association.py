@@ -114,7 +114,8 @@ def closures(drive: Drive, log: AssociationLog, rooms: Ints, pairs: Sequence[Any
     step, true, claimed, wrong = pairs
     # corners of this room, and spurious corners matched with one of them
     subject = np.where(true >= 0, true, claimed)
-    room_of = np.where(subject >= 0, drive.truth.outline.corners.room[subject], -2)
+    corner_room = drive.truth.outline.room_at(drive.truth.outline.corners.p_world)
+    room_of = np.where(subject >= 0, corner_room[subject], -2)
     last_visit: dict[int, int] = {}
     events = []
     for i, room in enumerate(rooms.tolist()):
@@ -136,7 +137,8 @@ def across_a_wall(drive: Drive, true: Ints, claimed: Ints) -> int:
     """How many corners are taken for others of another room within 0.4 m: the two faces of a thin wall."""
     corners = drive.truth.outline.corners
     apart = np.hypot(*(corners.p_world[true] - corners.p_world[claimed]).T)
-    return int(((corners.room[true] != corners.room[claimed]) & (apart < ACROSS_WALL_M)).sum())
+    room = drive.truth.outline.room_at(corners.p_world)
+    return int(((room[true] != room[claimed]) & (apart < ACROSS_WALL_M)).sum())
 
 
 def summarise(runs: list[Figures]) -> Figures:

@@ -122,7 +122,7 @@ def column_rows(key: str, box: spaces.Space[Any], shown: spaces.Space[Any]) -> I
     assert isinstance(box, spaces.Box)
     assert isinstance(shown, spaces.Box)
     axis = 0 if box.dtype == np.uint8 else -1
-    for i, (name, unit) in enumerate(COLUMNS[key]):
+    for i, (name, unit, _) in enumerate(COLUMNS[key]):
         low, high = np.take(box.low, i, axis).min(), np.take(box.high, i, axis).max()
         asked = "" if i < shown.shape[axis] else ', with `observation={"uncertainty": True}`'
         index = str(i) if len(COLUMNS[key]) > 1 else "all"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
 from typing import Annotated, Any, ClassVar, Literal, Self, TypeVar
 
@@ -163,6 +163,7 @@ def plain_layout(value: Any) -> Any:
 
 
 Number = Annotated[float, BeforeValidator(number)]
+S = TypeVar("S", bound=Settings)
 
 
 class EnvConfig(Settings):
@@ -194,9 +195,7 @@ class EnvConfig(Settings):
         match), a wrong type or a value out of bounds; for an unknown keyword `KeywordError`.
         """
         refuse_keywords(keywords, (), cls.__name__)
-        fields = merge(plain(config), {name: plain_value(value) for name, value in keywords.items()})
-        refuse_unknown(cls, fields, cls.__name__)
-        return cls(**fields)
+        return cls(**merge(plain(config), {name: plain_value(value) for name, value in keywords.items()}))
 
     @classmethod
     def paper(cls, **keywords: Any) -> Self:
@@ -209,11 +208,40 @@ class EnvConfig(Settings):
         return cls.build({"laser": {"preset": "paper"}, "slam": SlamConfig.paper()}, **keywords)
 
     @property
+    def followed(self) -> dict[tuple[str, str], dict[str, Any]]:
+        """Section and part of it -> the fields of the part that follow from other sections unless they are set."""
+        robot, odometry, laser = self.robot, self.odometry, self.laser
+        return {
+            ("slam", "sensor"): {name: getattr(laser, name) for name in LaserNoise.model_fields},
+            ("planning", "paths"): {"radius_m": robot.radius_m},
+            ("planning", "control"): {
+                "speed_m_s": robot.max_speed_m_s,
+                "turn_rad_s": robot.max_turn_rad_s,
+                "acceleration_m_s2": robot.max_acceleration_m_s2,
+                "period_s": robot.period_s,
+            },
+            ("planning", "prediction"): {
+                "distance_sigma_m": odometry.scale * odometry.distance_sigma_m,
+                "turn_sigma_deg": odometry.scale * odometry.turn_sigma_deg,
+                "turn_m": odometry.turn_m,
+                "max_range_m": laser.max_range_m,
+                "field_of_view_deg": laser.field_of_view_deg,
+            },
+        }
+
+    def _followed_by(self, name: str, section: S) -> S:
+        """A section with what follows from others."""
+        parts = dict[str, Any]()
+        for (_, part), values in (item for item in self.followed.items() if item[0][0] == name):
+            given: Settings = getattr(section, part)
+            free = {field: value for field, value in values.items() if field not in given.model_fields_set}
+            parts[part] = given.model_copy(update=free)
+        return section.model_copy(update=parts)
+
+    @property
     def estimator_config(self) -> SlamConfig:
         """`slam` for the estimator: the sensor follows the laser unless set, "known" merges no landmarks."""
-        laser = self.laser
-        sensor = {name: getattr(laser, name) for name in FOLLOWING["slam", "sensor"]}
-        slam = self.slam.model_copy(update={"sensor": following(self.slam.sensor, sensor)})
+        slam = self._followed_by("slam", self.slam)
         if self.estimator != "known":
             return slam
         known = slam.association.model_copy(update={"method": "known"})
@@ -222,27 +250,7 @@ class EnvConfig(Settings):
     @property
     def planning_config(self) -> PlanningConfig:
         """`planning` for the planner: size and limits follow the robot unless set."""
-        robot, planning = self.robot, self.planning
-        control = {
-            "speed_m_s": robot.max_speed_m_s,
-            "turn_rad_s": robot.max_turn_rad_s,
-            "acceleration_m_s2": robot.max_acceleration_m_s2,
-            "period_s": robot.period_s,
-        }
-        odometry, laser = self.odometry, self.laser
-        prediction = {
-            "distance_sigma_m": odometry.scale * odometry.distance_sigma_m,
-            "turn_sigma_deg": odometry.scale * odometry.turn_sigma_deg,
-            "turn_m": odometry.turn_m,
-            "max_range_m": laser.max_range_m,
-            "field_of_view_deg": laser.field_of_view_deg,
-        }
-        followed = {
-            "paths": following(planning.paths, {"radius_m": robot.radius_m}),
-            "control": following(planning.control, control),
-            "prediction": following(planning.prediction, prediction),
-        }
-        return planning.model_copy(update=followed)
+        return self._followed_by("planning", self.planning)
 
     @model_validator(mode="after")
     def _can_explore(self) -> Self:
@@ -261,8 +269,18 @@ class EnvConfig(Settings):
         return self
 
     def to_dict(self) -> dict[str, Any]:
-        """Plain JSON data from which `build` makes an equal configuration."""
-        return dump(self)
+        """Plain JSON data from which `build` makes an equal configuration.
+
+        It lacks unset values that follow from another section or a preset, so that they do.
+        """
+        data: dict[str, Any] = self.model_dump(mode="json")
+        for (outer, inner), values in self.followed.items():
+            for name in values.keys() - getattr(getattr(self, outer), inner).model_fields_set:
+                del data[outer][inner][name]
+        for outer, section in self:
+            if isinstance(section, PresetSettings):
+                data[outer] = section.model_dump(mode="json", include={"preset", *section.model_fields_set})
+        return data
 
     def to_json(self) -> str:
         """`to_dict` as text."""
@@ -276,36 +294,6 @@ def at_most(field: str, value: float, bound: float, what: str) -> None:
 
 
 ON_ROBOT = 0.9  # of the robot's radius: how far out a laser may sit, so that no wall comes up to it
-S = TypeVar("S", bound=Settings)
-
-# fields that follow from another section unless they are set
-FOLLOWING = {
-    ("slam", "sensor"): tuple(LaserNoise.model_fields),
-    ("planning", "paths"): ("radius_m",),
-    ("planning", "prediction"): (
-        *("distance_sigma_m", "turn_sigma_deg", "turn_m"),
-        *("max_range_m", "field_of_view_deg"),
-    ),
-    ("planning", "control"): ("speed_m_s", "turn_rad_s", "acceleration_m_s2", "period_s"),
-}
-
-
-def following(section: S, values: dict[str, float]) -> S:
-    """`section` with those of `values` that are not set in it."""
-    return section.model_copy(update={k: v for k, v in values.items() if k not in section.model_fields_set})
-
-
-def dump(config: EnvConfig) -> dict[str, Any]:
-    """`config` as plain data, without unset values that follow from another section or a preset, so that they do."""
-    data: dict[str, Any] = config.model_dump(mode="json")
-    for (outer, inner), names in FOLLOWING.items():
-        known = getattr(getattr(config, outer), inner).model_fields_set
-        for name in set(names) - known:
-            del data[outer][inner][name]
-    for outer, section in config:
-        if isinstance(section, PresetSettings):
-            data[outer] = section.model_dump(mode="json", include={"preset", *section.model_fields_set})
-    return data
 
 
 def plain(config: Any) -> dict[str, Any]:
@@ -329,16 +317,6 @@ def merge(below: dict[str, Any], above: dict[str, Any]) -> dict[str, Any]:
     return merged
 
 
-def refuse_unknown(section: type[Settings], fields: Mapping[str, Any], where: str) -> None:
-    """Raise `ConfigError` for the first name that `section` (or a section in it) does not have."""
-    for name, value in fields.items():
-        if name not in section.model_fields:
-            raise ConfigError(unknown(name, list(section.model_fields), where))
-        kind = section.model_fields[name].annotation
-        if isinstance(kind, type) and issubclass(kind, Settings) and isinstance(value, Mapping):
-            refuse_unknown(kind, value, f"{where}.{name}")
-
-
 def refuse_keywords(keywords: Iterable[str], others: Iterable[str], where: str) -> None:
     """Raise `KeywordError` for the first keyword that is neither a field of `EnvConfig` nor one of `others`.
 
@@ -351,11 +329,6 @@ def refuse_keywords(keywords: Iterable[str], others: Iterable[str], where: str) 
             raise KeywordError(f"{where}() got an unexpected keyword argument {name!r}{hint}")
 
 
-def unknown(name: object, known: list[str], where: str) -> str:
-    """What to say about an unknown name: the nearest known one, and all of them."""
-    return f"{where}.{name}: no such field{alternatives(name, known)}"
-
-
-def alternatives(name: object, known: list[str]) -> str:
+def alternatives(name: object, known: Sequence[str]) -> str:
     """The known name that is nearest to an unknown one, and all of them."""
     return f"{guess(name, known)} (fields: {', '.join(known)})"

@@ -227,14 +227,7 @@ class RecordReplay(EveryStep):
         self.folder, self.every = Path(folder), every
         self.folder.mkdir(parents=True, exist_ok=True)
         self.episode, self.recorder = -1, Recorder()
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observation, dict[str, Any]]:
-        """As of the environment below."""
-        self._write()
-        self.episode, self.recorder = self.episode + 1, Recorder(self.base.config.robot.period_s)
-        return super().reset(seed=seed, options=options)
+        self.seen: SceneView | None = None
 
     def step(self, action: Any) -> Step:
         """As of the environment below."""
@@ -249,13 +242,17 @@ class RecordReplay(EveryStep):
         super().close()
 
     def _keep(self, view: SceneView, info: dict[str, Any] | None) -> None:
+        if info is None:
+            self._write()
+            self.episode, self.recorder = self.episode + 1, Recorder(self.base.config.robot.period_s)
         if self.episode % self.every == 0:
             self.recorder.look(view, info)
+        self.seen = view
 
     def _write(self) -> None:
-        if len(self.recorder.frames) > 1:
-            title = f"{self.base.view().title.partition(', step')[0]}, episode {self.episode}"
-            result = ", ".join(f"{name} {value}" for name, value in summary(self.base.view().metrics))
+        if self.seen is not None and len(self.recorder.frames) > 1:
+            title = f"{self.seen.title.partition(', step')[0]}, episode {self.episode}"
+            result = ", ".join(f"{name} {value}" for name, value in summary(self.seen.metrics))
             write_page(self.recorder.run(title, result), self.folder / f"episode-{self.episode:04}.html")
         self.recorder = Recorder()
 

@@ -9,12 +9,10 @@ from __future__ import annotations
 import codecs
 import json
 import os
-import platform
 import re
-import time
-import zlib
+import uuid
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +20,7 @@ import numpy as np
 
 from mecp_env.core.errors import LayoutError
 
-DAY_S = 86_400.0  # a write takes less, also on another machine, whose processes are not known here
-
-
-def exists(path: str | Path) -> bool:
-    """True when there is a file or folder; False, too, for a name that no file can have."""
-    try:
-        return Path(path).exists()
-    except (OSError, ValueError):
-        return False
-
-
-def is_folder(path: str | Path) -> bool:
-    """True when there is a folder; False, too, for a name that no folder can have."""
-    return exists(path) and Path(path).is_dir()
+exists, is_folder = os.path.exists, os.path.isdir  # False, too, for a name that no file can have
 
 
 def read_bytes(path: Path, most: int) -> bytes:
@@ -63,57 +48,6 @@ def naming(path: Path) -> Iterator[None]:
         raise OSError(error.errno, error.strerror, str(path)) from error
 
 
-TEMPORARY = re.compile(r"\..+?\.(?:([0-9a-f]{8})-)?(\d+)\.tmp")  # the name while a file is written: machine, process
-LETTERS_KEPT = 50  # of a long name; a letter takes up to 4 bytes, of 255 in the name of a file
-_looked_at: set[tuple[int, Path]] = set()  # this process and the folders whose leftovers it has removed
-
-
-def remove_leftovers(folder: Path) -> None:
-    """Remove what killed processes left of files they were writing in `folder`; each process looks once.
-
-    A file of a process that runs, or of another machine that shares the folder and wrote within a day, stays.
-    """
-    key = os.getpid(), folder.absolute()
-    if key in _looked_at:
-        return
-    _looked_at.add(key)
-    for path in folder.glob(".*.tmp"):
-        found = TEMPORARY.fullmatch(path.name)
-        with suppress(OSError):  # another process was faster
-            if found and is_left(path, found[1], int(found[2])):
-                path.unlink()
-
-
-def machine() -> str:
-    """Eight digits that stand for this machine."""
-    return f"{zlib.crc32(platform.node().encode()):08x}"
-
-
-def is_left(path: Path, host: str | None, pid: int) -> bool:
-    """True when nobody writes a temporary file any more. Raises `OSError` when it is gone."""
-    if host == machine():
-        return not is_running(pid)
-    return time.time() - path.stat().st_mtime > DAY_S
-
-
-def is_running(pid: int) -> bool:
-    """True when a process of this number runs on this machine, or where that cannot be known."""
-    if os.name != "posix":
-        return True  # os.kill would end it
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except (PermissionError, OverflowError):
-        return True
-    return True
-
-
-def shortened(name: str) -> str:
-    """`name`, or where it is long its start and a checksum, so that there is room for more in the name of a file."""
-    return name if len(name) <= LETTERS_KEPT else f"{name[:LETTERS_KEPT]}-{zlib.crc32(name.encode()):08x}"
-
-
 def write_atomic(path: Path, data: bytes) -> None:
     """Write a file so that after a crash at any time the old or the new one exists, never a part.
 
@@ -125,8 +59,7 @@ def write_atomic(path: Path, data: bytes) -> None:
             path.write_bytes(data)
         return
     path.parent.mkdir(parents=True, exist_ok=True)
-    remove_leftovers(path.parent)
-    temporary = path.with_name(f".{shortened(path.name)}.{machine()}-{os.getpid()}.tmp")
+    temporary = path.with_name(f".{uuid.uuid4().hex}.tmp")
     try:
         with temporary.open("wb") as file:
             file.write(data)

@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import copy
 import ctypes
-import functools
 import gc
 import math
 import multiprocessing
@@ -26,14 +25,13 @@ import time
 import traceback
 import warnings
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from pathlib import Path
 from typing import Any, NoReturn
 
-from mecp_env.core.interrupts import interrupts_later
 from mecp_env.core.provenance import import_modules, imported_modules
 
 ROOT = Path("/")
@@ -42,37 +40,19 @@ ROOT = Path("/")
 def cores(root: Path = ROOT) -> int:
     """At least 1: the cores of the affinity, or fewer where a cgroup limits CPU time; a limit of 1.5 cores is 2."""
     allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return max(1, min([allowed, *(math.ceil(limit) for limit in _limits(root))]))
+    return max(1, min([allowed, *map(math.ceil, _limits(root))]))
 
 
 def _limits(root: Path) -> Iterator[float]:
-    """The CPU limits, in cores, of the cgroup of this process and of all that contain it (versions 1 and 2)."""
-    try:
-        groups = [line.split(":", 2) for line in (root / "proc/self/cgroup").read_text(encoding="utf-8").splitlines()]
-    except OSError:  # not Linux
-        return
-    for _, controllers, path in groups:
-        if controllers and "cpu" not in controllers.split(","):
-            continue
-        mount = root / "sys/fs/cgroup" / controllers
-        group = mount / path.lstrip("/")
-        for folder in (group, *group.parents[: len(group.relative_to(mount).parts)]):
-            yield from _limit(folder)
-
-
-def _limit(folder: Path) -> Iterator[float]:
-    """The limit of one cgroup, if it has one; inside a container the folders of its host are missing."""
-    try:
-        if (folder / "cpu.max").exists():
-            quota, period = (folder / "cpu.max").read_text(encoding="utf-8").split()
-        else:
-            quota, period = (
-                (folder / f"cpu.cfs_{name}_us").read_text(encoding="utf-8").strip() for name in ("quota", "period")
-            )
-        if quota not in ("max", "-1"):
-            yield float(quota) / float(period)
-    except OSError:
-        return
+    """The CPU limits, in cores, of the cgroup (version 2) of this process and of those around it."""
+    mount, groups = root / "sys/fs/cgroup", root / "proc/self/cgroup"
+    lines = groups.read_text(encoding="utf-8").splitlines() if groups.exists() else []  # not Linux
+    for path in [line.removeprefix("0::/") for line in lines if line.startswith("0::/")]:
+        for folder in (mount / path, *(mount / path).parents):
+            limit = folder / "cpu.max"  # inside a container the folders of its host are missing
+            quota, period = limit.read_text(encoding="utf-8").split() if limit.exists() else ("max", "1")
+            if quota != "max":
+                yield float(quota) / float(period)
 
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
@@ -80,23 +60,19 @@ M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 def trim() -> None:
     """Return freed memory to the system; nothing happens where the C library cannot."""
-    _function("malloc_trim")(0)
+    _call_c("malloc_trim", 0)
 
 
 def keep() -> None:
     """Keep what is freed from now on, so that large arrays are not taken from the system and cleared each time."""
-    for option, size in ((M_MMAP_THRESHOLD, 2**25), (M_TRIM_THRESHOLD, 2**30)):  # of the first no more is allowed
-        _function("mallopt")(option, size)
+    _call_c("mallopt", M_MMAP_THRESHOLD, 2**25)  # no more is allowed
+    _call_c("mallopt", M_TRIM_THRESHOLD, 2**30)
 
 
-@functools.cache
-def _function(name: str) -> Callable[..., int]:
-    """A function of the C library; one that does nothing where there is no such function."""
-    try:
-        function: Callable[..., int] = getattr(ctypes.CDLL(None), name)
-    except (AttributeError, OSError, TypeError):  # another C library; Windows
-        return lambda *_: 0
-    return function
+def _call_c(name: str, *arguments: int) -> None:
+    """Call a function of the C library, where there is such a function."""
+    with contextlib.suppress(AttributeError, OSError, TypeError):  # another C library; Windows
+        getattr(ctypes.CDLL(None), name)(*arguments)
 
 
 PATIENCE_S = 2.0  # how often an idle worker checks that its parent process is alive
@@ -150,20 +126,17 @@ def start_method(wanted: str | None = None) -> str:
 
 
 class Worker:
-    """A process that holds `target` and calls its methods, one at a time, as asked through a pipe.
+    """A process that holds `target` and calls its methods, one at a time, as asked through a pipe."""
 
-    `siblings` are this process's ends of the pipes of other workers, which a fork would keep open.
-    """
-
-    def __init__(self, target: Any, name: str, method: str, siblings: Sequence[Connection] = ()) -> None:
+    def __init__(self, target: Any, name: str, method: str) -> None:
         context: Any = multiprocessing.get_context(method)
         self.name = name
         self.pipe, theirs = context.Pipe()
-        inherited = [*siblings, self.pipe] if method == "fork" else []
+        inherited = self.pipe if method == "fork" else None
         self.process = context.Process(
             target=_serve, args=(theirs, inherited, imported_modules(), target), name=name, daemon=True
         )
-        with _one_thread_each(), _ctrl_c_later(method), warnings.catch_warnings():
+        with _as_worker(method), warnings.catch_warnings():
             warnings.filterwarnings("ignore", ".*fork", DeprecationWarning)  # of libraries' threads, which heed it
             self.process.start()
         theirs.close()
@@ -176,10 +149,6 @@ class Worker:
             # The frames view a BytesIO: collected in a cycle, such a view ends Python 3.12.1 with SIGSEGV.
             traceback.clear_frames(error.__traceback__)
             self.report_death()
-
-    def ready(self, seconds: float) -> bool:
-        """Whether there is an answer; waits for one so long."""
-        return bool(self.pipe.poll(seconds))
 
     def answer(self) -> Any:
         """What the method returned, or a `Failure`; waits for it. Raises `WorkerDied`."""
@@ -207,27 +176,22 @@ class Worker:
         self.process.close()
 
 
-def _serve(pipe: Connection, others: Sequence[Connection], modules: Sequence[str], target: Any) -> None:
+def _serve(pipe: Connection, inherited: Connection | None, modules: Sequence[str], target: Any) -> None:
     """The process of a worker: call what the pipe names of `target`, whose `place` is what it is working on.
 
     What a method yields is sent at once, one answer after another. `modules` register the custom parts of the user.
+    `inherited`: the other end of the pipe, which a fork keeps open.
     """
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     signal.signal(signal.SIGTERM, signal.SIG_DFL)  # a window's library (SDL) catches it, and a fork inherits that
     gc.freeze()  # what a forked process inherits it would otherwise copy, page by page, to find that all is in use
-    for other in others:  # a copy of its ends of the pipes would keep workers from noticing that it is gone
-        other.close()
+    if inherited is not None:
+        inherited.close()
     import_modules(modules)
     with contextlib.suppress(*GONE), pipe:
         for name, arguments in _questions(pipe):
-            try:
-                answer = getattr(target, name)(*arguments)
-                for part in answer if isinstance(answer, Iterator) else (answer,):
-                    pipe.send(part)
-            except GONE:
-                raise
-            except Exception as error:  # of the method, or an answer that cannot be sent
-                pipe.send(Failure.of(error, getattr(target, "place", "")))
+            for answer in _answers(target, name, arguments):
+                _send(pipe, answer)
 
 
 def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
@@ -239,45 +203,65 @@ def _questions(pipe: Connection) -> Iterator[tuple[str, tuple[Any, ...]]]:
             yield name, arguments
 
 
+def _answers(target: Any, name: str, arguments: tuple[Any, ...]) -> Iterator[Any]:
+    """What a method of the target returns, or one after another what it yields; last a `Failure`, if it raises."""
+    try:
+        answer = getattr(target, name)(*arguments)
+        yield from answer if isinstance(answer, Iterator) else (answer,)
+    except Exception as error:
+        yield Failure.of(error, getattr(target, "place", ""))
+
+
+def _send(pipe: Connection, answer: Any) -> None:
+    """Send an answer; a `Failure` in place of one that cannot be sent."""
+    try:
+        pipe.send(answer)
+    except GONE:
+        raise
+    except Exception as error:
+        pipe.send(Failure.of(error))
+
+
 def _cause(exit_code: int | None) -> str:
     """What ended a process, in words."""
     signals = {-one: one.name for one in signal.Signals}
     return f"was killed by {signals[exit_code]}" if exit_code in signals else f"ended with exit code {exit_code}"
 
 
+def _blocked_mask(method: str) -> set[int | signal.Signals] | None:
+    """The signals that were blocked here before; Ctrl-C now is. None in another thread, and on Windows."""
+    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
+        return None
+    if method != "fork":
+        resource_tracker.ensure_running()  # its start would unblock the signal
+    return set(signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}))
+
+
 @contextlib.contextmanager
-def _one_thread_each() -> Iterator[None]:
-    """Started so, libraries of a new process use one thread; a forked one keeps the setting of this process."""
+def _as_worker(method: str) -> Iterator[None]:
+    """A process started in it uses one thread per library, and never receives Ctrl-C, also while it imports.
+
+    This process receives it afterwards. Libraries of a forked process keep the threads that they have here.
+    """
     before = {name: os.environ.get(name) for name in THREADS}
+    mask = _blocked_mask(method)
     os.environ.update(dict.fromkeys(THREADS, "1"))
     try:
         yield
     finally:
         for name, value in before.items():
             os.environ.pop(name) if value is None else os.environ.__setitem__(name, value)
-
-
-@contextlib.contextmanager
-def _ctrl_c_later(method: str) -> Iterator[None]:
-    """A process started in it never receives Ctrl-C, also while it imports; this process receives it afterwards."""
-    if threading.current_thread() is not threading.main_thread() or not hasattr(signal, "pthread_sigmask"):
-        yield  # a thread is not interrupted; Windows
-        return
-    if method != "fork":
-        resource_tracker.ensure_running()  # its start would unblock the signal
-    with interrupts_later():  # a handler is called from any other thread, too
-        mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # which the new process inherits
-        try:
-            yield
-        finally:
+        if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
 
 
 INTERRUPTED = "interrupted in the middle of its work, which is lost"
+LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
+STOP_S = 5.0  # how long workers have to stop by themselves
 
 
 class LocalWorker:
-    """The questions and answers of `mecp_env.core.processes.Worker`, for a target of this process.
+    """The questions and answers of a `Worker`, for a target of this process.
 
     Arguments are copied, as a pipe would, because the caller may overwrite them before the work is done.
     """
@@ -287,13 +271,9 @@ class LocalWorker:
         self._target = target
         self._work = deque[Iterator[Any]]()
 
-    def ready(self, seconds: float) -> bool:
-        """True: there is nothing to wait for."""
-        return True
-
     def ask(self, name: str, *arguments: Any) -> None:
         """Note what to call; `answer` calls it."""
-        self._work.append(self._answers(name, copy.deepcopy(arguments)))
+        self._work.append(_answers(self._target, name, copy.deepcopy(arguments)))
 
     def answer(self) -> Any:
         """The next answer, or a `Failure`; None where there is no other."""
@@ -312,17 +292,6 @@ class LocalWorker:
         self._work.clear()
         self._target.close()
 
-    def _answers(self, name: str, arguments: tuple[Any, ...]) -> Iterator[Any]:
-        try:
-            answer = getattr(self._target, name)(*arguments)
-            yield from answer if isinstance(answer, Iterator) else (answer,)
-        except Exception as error:
-            yield Failure.of(error, getattr(self._target, "place", ""))
-
-
-LOOK_S = 0.5  # how often a process that waits for an answer checks that all workers are alive
-STOP_S = 5.0  # how long workers have to stop by themselves
-
 
 class WorkerPool:
     """Workers that each hold a target, by the name of the worker. `ask` all of them, then `gather` their answers.
@@ -340,7 +309,7 @@ class WorkerPool:
         self._answers: list[Any] = []  # to this question, so far: Ctrl-C may end a wait
         try:
             for name, target in list(targets.items())[local:]:
-                self._workers.append(Worker(target, name, method, [worker.pipe for worker in self._workers]))
+                self._workers.append(Worker(target, name, method))
             self.ask("open", [()] * len(targets))
             self.gather()
         except BaseException:
@@ -354,19 +323,15 @@ class WorkerPool:
 
     def ask(self, name: str, arguments: Sequence[tuple[Any, ...]]) -> None:
         """Let each worker call the method `name` of its target with its arguments. Raises `WorkerDied`."""
-        try:
+        with self._all_or_none():
             for worker, own in zip(self._all, arguments, strict=True):
                 worker.ask(name, *own)
-        except WorkerDied as error:
-            self._end(error)
 
     def gather(self) -> list[Any]:
         """The answers of all workers. Raises `WorkerDied`, or the exception of the first target that had one."""
-        try:
+        with self._all_or_none():
             while len(self._answers) < len(self._all):
                 self._answers.append(self._answer(len(self._answers)))
-        except WorkerDied as error:
-            self._end(error)
         answers, self._answers = self._answers, []
         for answer in answers:
             if isinstance(answer, Failure):
@@ -376,20 +341,15 @@ class WorkerPool:
 
     def post(self, number: int, name: str, *arguments: Any) -> None:
         """Let one worker call the method `name` after what it was asked before; `arrived` has its answers."""
-        try:
+        with self._all_or_none():
             self._all[number].ask(name, *arguments)
-        except WorkerDied as error:
-            self._end(error)
 
     def arrived(self) -> list[Any]:
         """The next answer of each worker that has one; waits for at least one. Raises `WorkerDied`."""
-        try:
+        with self._all_or_none():
             own = [answer for worker in self._local if (answer := worker.answer()) is not None]
-            while not (ready := wait([worker.pipe for worker in self._workers], 0.0 if own else LOOK_S)) and not own:
-                self._look()
+            ready = wait([worker.pipe for worker in self._workers], 0.0 if own else None)
             return own + [worker.answer() for worker in self._workers if worker.pipe in ready]
-        except WorkerDied as error:
-            self._end(error)
 
     def close(self) -> None:
         """Stop the workers: ask, then insist. Another process than the one that started them does nothing."""
@@ -410,20 +370,21 @@ class WorkerPool:
         return [*self._local, *self._workers]
 
     def _answer(self, number: int) -> Any:
+        """The answer of a worker. Raises `WorkerDied` soon after any of them died, though this one be busy."""
         worker = self._all[number]
-        while not worker.ready(LOOK_S):
-            self._look()
+        while isinstance(worker, Worker) and not worker.pipe.poll(LOOK_S):
+            for other in self._workers:
+                if not other.process.is_alive():
+                    other.report_death()
         return worker.answer()
 
-    def _look(self) -> None:
-        """Raise `WorkerDied` if a worker is no longer alive."""
-        for worker in self._workers:
-            if not worker.process.is_alive():
-                worker.report_death()
-
-    def _end(self, error: WorkerDied) -> NoReturn:
+    @contextlib.contextmanager
+    def _all_or_none(self) -> Iterator[None]:
         """After the death of a worker, stop the others, too."""
-        for worker in self._workers:
-            worker.process.terminate()
-        self.close()
-        raise WorkerDied(f"{error}; the others are stopped") from None
+        try:
+            yield
+        except WorkerDied as error:
+            for worker in self._workers:
+                worker.process.terminate()
+            self.close()
+            raise WorkerDied(f"{error}; the others are stopped") from None

@@ -60,13 +60,19 @@ def _told(one: Any, root: str, model: type[BaseModel]) -> str:
     if isinstance(context.get("error"), ConfigError):
         return _further_out(str(context["error"]), place)
     if kind == "extra_forbidden":
-        return f"{place}: no such field{guess(path[-1], fields_at(model, path[:-1]))} (given: {shown(given)})"
+        return f"{place}: no such field{_meant(path, model)} (given: {shown(given)})"
     if kind in ("literal_error", "union_tag_invalid"):
         word = context.get("tag", given)
         known = PLACEHOLDER.findall(str(context.get("expected") or context.get("expected_tags")))
         return f"{place}: {one['msg']}{guess(word, known)} (given: {shown(given)})"
     said = f"{place}: {one['msg'].removeprefix('Value error, ')}"
     return said if _says_enough(one) else f"{said} (given: {shown(given)})"
+
+
+def _meant(path: tuple[int | str, ...], model: type[BaseModel]) -> str:
+    """The field nearest to an unknown one; all that there are where none is near."""
+    known = fields_at(model, path[:-1])
+    return guess(path[-1], known) or f" (fields: {', '.join(known)})"
 
 
 def _says_enough(one: Any) -> bool:

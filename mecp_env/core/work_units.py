@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
-from functools import cache, partial
+from functools import partial
 from itertools import islice
 from multiprocessing.connection import wait
 from pathlib import Path
@@ -36,6 +36,7 @@ CONNECT_S = 5.0  # until a machine that does not answer has no cluster
 ONE_TRY = "RAY_NUM_REDIS_GET_RETRIES", "1"  # of 40 s each to reach the head, for a cluster that runs already
 Unit = TypeVar("Unit")
 Result = TypeVar("Result")
+Busy = dict[Worker, tuple[int, Any]]  # the numbered units of workers
 START = "spawn"  # a forked process would have the threads and the state of the libraries of this one
 POLL_S = 0.2  # how long results are waited for, before Python can see an interrupt
 FORMAT, VERSION = "mecp_env result", 1
@@ -102,29 +103,29 @@ def connected(address: str) -> Iterator[Any]:
         ray.shutdown()
 
 
-def attempt(task: Callable[[Any], Any], unit: Any, code: dict[str, str], modules: Sequence[str] = ()) -> Any:
-    """The result of a unit on a node of the cluster, or a `FailedUnit`; `modules` register custom parts of the user."""
+def attempt(
+    task: Callable[[Unit], Result], unit: Unit, code: Mapping[str, str] | None = None, modules: Sequence[str] = ()
+) -> Result | FailedUnit:
+    """The result of a unit in this process.
+
+    On a node of a cluster, `code` is that of the machine that asks, and `modules` register custom parts of the user.
+    """
     try:
         import_modules(modules)
-        here = code_of(task)
-        other = ", ".join(f"{name} {here[name]}, not {code.get(name)}" for name in here if here[name] != code.get(name))
+        asked = {} if code is None else code
+        here = code_of(task) if asked else {}
+        other = [f"{name} {found}, not {asked.get(name)}" for name, found in here.items() if found != asked.get(name)]
         if other:
-            raise ConfigError(f"cluster: a node has {other}")
+            raise ConfigError(f"cluster: a node has {', '.join(other)}")
         return task(unit)
     except Exception as error:
-        failure = Failure.of(error)
-        return FailedUnit(unit, failure.reason, failure.error)
+        return FailedUnit(unit, Failure.of(error).reason, error)
 
 
 def code_of(task: Callable[[Any], Any]) -> dict[str, str]:
     """What the results of a task depend on beside its unit; of a partial function, that of the function."""
     function = task.func if isinstance(task, partial) else task
-    return _dependencies(Path(str(sys.modules[function.__module__].__file__)).parent) | checksums()
-
-
-@cache
-def _dependencies(folder: Path) -> dict[str, str]:
-    return dependencies(folder)
+    return dependencies(Path(str(sys.modules[function.__module__].__file__)).parent) | checksums()
 
 
 def _result(ray: Any, reference: Any, unit: Any) -> Any:
@@ -146,70 +147,49 @@ def run_units(
     """
     numbered = enumerate(units)
     if jobs == 1:
-        for number, unit in numbered:
-            yield number, _attempt(task, unit)
+        yield from ((number, attempt(task, unit)) for number, unit in numbered)
         return
-    workers = _UnitWorkers(task, numbered)
+    busy: Busy = {}
+    idle = list[Worker]()
     try:
-        for _ in range(jobs):
-            workers.begin()
-        while workers.busy:
-            yield from workers.finished()
+        while _hand_out(task, islice(numbered, jobs - len(busy)), busy, idle):
+            yield from _finished(busy, idle)
     finally:
-        workers.stop()
-
-
-class _UnitWorkers:
-    """The workers of `run_units`, and the unit that each of them works on."""
-
-    def __init__(self, task: Callable[[Any], Any], waiting: Iterator[tuple[int, Any]]) -> None:
-        self.busy: dict[Worker, tuple[int, Any]] = {}
-        self._task, self._waiting = task, waiting
-
-    def begin(self, worker: Worker | None = None) -> None:
-        """Give the next unit to a worker, or to a new one; when none is left, end it."""
-        for number, unit in islice(self._waiting, 1):
-            worker = worker or Worker(self._task, "its process", START)
-            self.busy[worker] = number, unit
-            with suppress(WorkerDied):  # which its answer will say
-                worker.ask("__call__", unit)
-            return
-        if worker:
-            worker.stop()
-
-    def finished(self) -> Iterator[tuple[int, Any]]:
-        """What is finished within a moment; the workers then have their next units."""
-        pipes: Any = [worker.pipe for worker in self.busy]
-        ready = wait(pipes, POLL_S)
-        for worker in [worker for worker in self.busy if worker.pipe in ready]:
-            number, unit = self.busy.pop(worker)
-            try:
-                result = worker.answer()
-            except WorkerDied as error:
-                result = FailedUnit(unit, str(error), error)
-                worker.stop()
-                self.begin()
-            else:
-                self.begin(worker)
-            if isinstance(result, Failure):
-                result.error.add_note(result.note)
-                result = FailedUnit(unit, result.reason, result.error)
-            yield number, result
-
-    def stop(self) -> None:
-        """End the workers, whatever they do."""
-        for worker in self.busy:
+        for worker in (*busy, *idle):
             worker.process.terminate()
-        for worker in self.busy:
+        for worker in (*busy, *idle):
             worker.stop()
 
 
-def _attempt(task: Callable[[Unit], Result], unit: Unit) -> Result | FailedUnit:
-    """The result of a unit in this process."""
+def _hand_out(task: Any, units: Iterable[tuple[int, Any]], busy: Busy, idle: list[Worker]) -> bool:
+    """Give numbered units to idle workers, or to new ones; whether any worker has one then."""
+    for number, unit in units:
+        worker = idle.pop() if idle else Worker(task, "its process", START)
+        busy[worker] = number, unit
+        with suppress(WorkerDied):  # which its answer will say
+            worker.ask("__call__", unit)
+    return bool(busy)
+
+
+def _finished(busy: Busy, idle: list[Worker]) -> list[tuple[int, Any]]:
+    """What is finished within a moment."""
+    pipes: Any = wait([worker.pipe for worker in busy], POLL_S)
+    ready = [(worker, busy.pop(worker)) for worker in list(busy) if worker.pipe in pipes]
+    return [(number, _answer(worker, unit, idle)) for worker, (number, unit) in ready]
+
+
+def _answer(worker: Worker, unit: Any, idle: list[Worker]) -> Any:
+    """What a worker made of its unit; unless it died, it is idle then."""
     try:
-        return task(unit)
-    except Exception as error:
-        return FailedUnit(unit, Failure.of(error).reason, error)
+        result = worker.answer()
+    except WorkerDied as error:
+        worker.stop()
+        return FailedUnit(unit, str(error), error)
+    idle.append(worker)
+    if isinstance(result, Failure):
+        result.error.add_note(result.note)
+        return FailedUnit(unit, result.reason, result.error)
+    return result
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -10,8 +11,7 @@ from numpy.typing import NDArray
 
 from mecp_env.core.errors import ActionError
 
-DISCRETE = ("stop", "forward", "back", "left", "right")
-COMMANDS = np.array([[0.0, 0.0], [1.0, 0.0], [-1.0, 0.0], [0.0, 0.5], [0.0, -0.5]])  # (5,2) normalised
+COMMANDS = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 0.5), (0.0, -0.5))  # stop, forward, back, left, right
 NUMBERS = (int, float, np.integer, np.floating)
 ROUNDING = 1e-5  # what a wrapper that rescales actions in float32 may add to a bound
 
@@ -76,32 +76,22 @@ def check_choice(action: Any, n: int) -> int:
     return int(action)
 
 
-class VelocityActions:
-    """Box(-1, 1, (2,)): fractions of the largest forward speed and of the largest turn rate (counter-clockwise)."""
+class Actions(NamedTuple):
+    """An action space, and what its actions command."""
 
-    def __init__(self) -> None:
-        self.space: spaces.Space[Any] = spaces.Box(-1.0, 1.0, (2,), np.float32)
-
-    def command(self, action: Any) -> tuple[float, float]:
-        """Forward and turn command in [-1, 1] of `action`. Raises `ActionError`."""
-        return check_velocity(action)
+    space: spaces.Space[Any]
+    command: Callable[[Any], tuple[float, float]]  # forward and turn command in [-1, 1]; raises `ActionError`
 
 
-class DiscreteActions:
-    """Discrete(5): stop, forward, back, left, right (the turns at half of the largest rate)."""
+def make_actions(kind: str) -> Actions:
+    """The actions named `kind`; below `goal` lies `velocity`, which the wrapper `GoalActions` drives.
 
-    def __init__(self) -> None:
-        self.space: spaces.Space[Any] = spaces.Discrete(len(DISCRETE))
-
-    def command(self, action: Any) -> tuple[float, float]:
-        """Forward and turn command in [-1, 1] of `action`. Raises `ActionError`."""
-        forward, turn = COMMANDS[check_choice(action, len(DISCRETE))]
-        return float(forward), float(turn)
-
-
-def make_actions(kind: str) -> VelocityActions | DiscreteActions:
-    """The action space named `kind`; below `goal` lies `velocity`, which the wrapper `GoalActions` drives."""
-    return DiscreteActions() if kind == "discrete" else VelocityActions()
+    `velocity`: fractions of the largest forward speed and of the largest turn rate (counter-clockwise). `discrete`:
+    stop, forward, back, left, right (the turns at half of the largest rate).
+    """
+    if kind == "discrete":
+        return Actions(spaces.Discrete(len(COMMANDS)), lambda action: COMMANDS[check_choice(action, len(COMMANDS))])
+    return Actions(spaces.Box(-1.0, 1.0, (2,), np.float32), check_velocity)
 
 
 def normalised_command(v: float, w: float, limits: tuple[float, float]) -> NDArray[np.float32]:

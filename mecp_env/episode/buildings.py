@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass
+from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from mecp_env.core.files import is_folder
 from mecp_env.core.processes import Failure
 from mecp_env.core.settings import Names, guess, shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
-from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed, unknown_split
+from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
 from mecp_env.world.layout import load_layout
 from mecp_env.world.schema import Layout
@@ -29,105 +29,47 @@ KEYWORDS = {  # beside the fields of the environment's configuration
 }
 
 
-class Source(Protocol):
+@dataclass(frozen=True, slots=True)
+class Source:
     """Buildings, numbered from 0."""
 
+    layout: Callable[[int], Layout]  # the building of a number
+    count: int = 1  # how many there are; 1: always the same
+
     @property
-    def count(self) -> int:
-        """How many there are; 1: always the same."""
-        ...
-
-    def layout(self, building: int) -> Layout:
-        """The building of that number. Raises `ConfigError` for one that does not exist."""
-        ...
+    def all(self) -> int:
+        """One more than the largest number that names a building."""
+        return self.count
 
 
 @dataclass(frozen=True, slots=True)
-class OneLayout:
-    """The same building at every reset."""
-
-    given: Layout
-    count: int = 1
-
-    def layout(self, building: int) -> Layout:
-        return self.given
-
-
-@dataclass(frozen=True, slots=True)
-class GeneratedLayouts:
+class GeneratedLayouts(Source):
     """The generated buildings of a split: those of the chosen difficulties, and of any other one on request.
 
     Building n of the k-th chosen difficulty has the number k * size + n, size being that of the split; after the chosen
     ones come all difficulties in their order, so that a number names one building.
     """
 
-    chosen: tuple[str, ...]
-    split: str
-    fields: dict[str, Any]  # of `GeneratorSpec`, over the difficulty
-
-    @property
-    def size(self) -> int:
-        return len(SPLITS[self.split])
-
-    @property
-    def count(self) -> int:
-        return len(self.chosen) * self.size
+    spec: Callable[[Any], GeneratorSpec] = GeneratorSpec.preset  # of a difficulty
+    difficulties: tuple[str, ...] = ()  # the chosen ones, then all
+    size: int = 0
 
     @property
     def all(self) -> int:
-        """One more than the largest number that names a building."""
-        return (len(self.chosen) + len(DIFFICULTIES)) * self.size
-
-    def layout(self, building: int) -> Layout:
-        kind, number = divmod(building, self.size)
-        difficulty = (*self.chosen, *DIFFICULTIES)[kind]
-        return generate(GeneratorSpec.preset(difficulty, **self.fields), split_seed(self.split, number))
+        return len(self.difficulties) * self.size
 
     def of_difficulty(self, difficulty: Any) -> range:
         """The numbers of its buildings. Raises `ConfigError` for an unknown one."""
-        GeneratorSpec.preset(difficulty, **self.fields)
-        first = (*self.chosen, *DIFFICULTIES).index(difficulty) * self.size
+        self.spec(difficulty)
+        first = self.difficulties.index(difficulty) * self.size
         return range(first, first + self.size)
 
 
 @dataclass(frozen=True, slots=True)
-class PlanFiles:
+class PlanFiles(Source):
     """Real floor plans; the last ones are kept as they were read."""
 
-    paths: tuple[Path, ...]
-    reading: dict[str, Any]  # options of `load_plan`
-    read: dict[int, Layout] = field(default_factory=dict)
-
-    @property
-    def count(self) -> int:
-        return len(self.paths)
-
-    def layout(self, building: int) -> Layout:
-        if building not in self.read:
-            for oldest in list(self.read)[: len(self.read) - KEPT_PLANS + 1]:
-                del self.read[oldest]
-            self.read[building] = load_plan(self.paths[building], **self.reading)
-        return self.read[building]
-
-
-@dataclass(frozen=True, slots=True)
-class CustomSource:
-    """The buildings of a registered source, each checked as a layout file is."""
-
-    name: str
-    made: Any  # a `Source` whose layouts may be all that `load_layout` takes
-
-    @property
-    def count(self) -> int:
-        return int(self.made.count)
-
-    def layout(self, building: int) -> Layout:
-        try:
-            return load_layout(self.made.layout(building))
-        except LayoutError as error:
-            raise LayoutError(f"{self.name}: building {building}: {error}") from None
-        except Exception as error:  # code of the user may raise anything
-            raise LayoutError(f"{self.name}: building {building}: {Failure.of(error).reason}") from error
+    paths: tuple[Path, ...] = ()
 
 
 def register_buildings(name: str, make: Callable[..., Any]) -> None:
@@ -144,16 +86,26 @@ def register_buildings(name: str, make: Callable[..., Any]) -> None:
     SOURCES[name] = partial(_custom, name, make)
 
 
-def _custom(name: str, make: Callable[..., Any], **fields: Any) -> CustomSource:
+def _custom(name: str, make: Callable[..., Any], **fields: Any) -> Source:
+    """The buildings of a registered source, each checked as a layout file is."""
     try:
-        made = CustomSource(name, make(**fields))
+        made = make(**fields)
     except Exception as error:  # code of the user may raise anything
         reason = error if isinstance(error, TypeError) else Failure.of(error).reason
         raise ConfigError(f"layout: {name}: {reason}") from error
-    count = getattr(made.made, "count", None)
-    if isinstance(count, bool) or not isinstance(count, int) or count < 1 or not hasattr(made.made, "layout"):
+    count = getattr(made, "count", None)
+    if isinstance(count, bool) or not isinstance(count, int) or count < 1 or not hasattr(made, "layout"):
         raise ConfigError(f"layout: {name}: expected a method `layout` and a `count` of 1 or more, got {shown(count)}")
-    return made
+
+    def layout(building: int) -> Layout:
+        try:
+            return load_layout(made.layout(building))
+        except LayoutError as error:
+            raise LayoutError(f"{name}: building {building}: {error}") from None
+        except Exception as error:
+            raise LayoutError(f"{name}: building {building}: {Failure.of(error).reason}") from error
+
+    return Source(layout, count)
 
 
 def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
@@ -163,19 +115,21 @@ def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     `GeneratorSpec`, `difficulty` and `split`; `{"plan": {"path": ...}}` a real floor plan or a folder of them, with the
     options of `load_plan`; a name of `register_buildings` those. Raises `ConfigError` or `LayoutError`.
     """
-    key = next((key for key in SOURCES if isinstance(given, Mapping) and key in given), None)
-    if key is not None:
-        return _made(key, given)
-    check_registered(given)
-    return OneLayout(load_layout(dict(given) if isinstance(given, Mapping) else given))
+    fields: Any = given if isinstance(given, Mapping) else {}
+    key = next((key for key in SOURCES if key in fields), None)
+    if key is None:
+        check_registered(fields)
+        layout = load_layout(dict(fields) if isinstance(given, Mapping) else given)
+        return Source(lambda _: layout)
+    if set(fields) != {key} or not isinstance(fields[key], Mapping):
+        raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, fields))}")
+    return SOURCES[key](**fields[key])
 
 
-def check_registered(given: Any) -> None:
+def check_registered(fields: Mapping[Any, Any]) -> None:
     """Raise `ConfigError` for `{name: {...}}` of a source that is not registered; a layout has other fields."""
-    if not isinstance(given, Mapping) or len(given) != 1:
-        return
-    (name,) = given
-    if isinstance(given[name], Mapping) and name not in Layout.model_fields:
+    name = next(iter(fields), None)
+    if len(fields) == 1 and isinstance(fields[name], Mapping) and name not in Layout.model_fields:
         known = ", ".join(NAMES.others) or "none yet"
         raise ConfigError(
             f"layout: {shown(name)}: not registered by register_buildings (registered: {known})"
@@ -183,23 +137,25 @@ def check_registered(given: Any) -> None:
         )
 
 
-def _made(key: str, given: Any) -> Source:
-    """The source of a layout that is given by one key."""
-    if set(given) != {key} or not isinstance(given[key], Mapping):
-        raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, given))}")
-    return SOURCES[key](**given[key])
-
-
 def _generated(difficulty: Any = "medium", split: str = "train", **fields: Any) -> GeneratedLayouts:
-    if not isinstance(split, str) or split not in SPLITS:
-        raise ConfigError(unknown_split(split))
+    split_seed(split, 0)
     chosen = (difficulty,) if isinstance(difficulty, str) else difficulty
     if not isinstance(chosen, list | tuple) or not chosen:
         known = ", ".join(DIFFICULTIES)
         raise ConfigError(f"difficulty: {shown(difficulty)}, expected one of {known}, or a list of them")
+
+    def spec(difficulty: Any) -> GeneratorSpec:
+        return GeneratorSpec.preset(difficulty, **fields)
+
     for name in chosen:
-        GeneratorSpec.preset(name, **fields)
-    return GeneratedLayouts(tuple(chosen), split, fields)
+        spec(name)
+    difficulties, size = (*chosen, *DIFFICULTIES), len(SPLITS[split])
+
+    def layout(building: int) -> Layout:
+        kind, number = divmod(building, size)
+        return generate(spec(difficulties[kind]), split_seed(split, number))
+
+    return GeneratedLayouts(layout, len(chosen) * size, spec, difficulties, size)
 
 
 def _plans(path: Any = None, **reading: Any) -> PlanFiles:
@@ -207,7 +163,8 @@ def _plans(path: Any = None, **reading: Any) -> PlanFiles:
     place = Path(_path(path))
     images = reading.get("resolution_m") is not None
     paths = plan_files(place, reading.get("kind"), images) if is_folder(place) else (place,)
-    return PlanFiles(paths, reading)
+    read = lru_cache(KEPT_PLANS)(lambda building: load_plan(paths[building], **reading))
+    return PlanFiles(read, len(paths), paths)
 
 
 def _path(given: Any) -> str:
@@ -222,18 +179,18 @@ NAMES = Names(GENERATE, PLAN, *Layout.model_fields)  # a dict with those of a la
 SOURCES: dict[str, Callable[..., Source]] = {GENERATE: _generated, PLAN: _plans}
 
 
-def plan_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keywords of `FloorPlan-v0`, those of the plans and those of the environment. Raises `ConfigError`."""
-    plan = {name: value for name, value in keywords.items() if name in KEYWORDS[PLAN] and name != "plan"}
-    if "plan" in keywords:
-        plan["path"] = _path(keywords["plan"])
-    return plan, {name: value for name, value in keywords.items() if name not in KEYWORDS[PLAN]}
+def keywords_of(key: str, keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Keywords of `Rooms-v0` (GENERATE) or `FloorPlan-v0` (PLAN): those of its buildings, and those of the environment.
+
+    Raises `ConfigError`.
+    """
+    given = {name: value for name, value in keywords.items() if name in KEYWORDS[key]}
+    if "plan" in given:
+        given["path"] = _path(given.pop("plan"))
+    return given, {name: value for name, value in keywords.items() if name not in KEYWORDS[key]}
 
 
-def generator_keywords(keywords: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Keywords of `Rooms-v0`, those of the buildings and those of the environment."""
-    spec = {name: value for name, value in keywords.items() if name in KEYWORDS[GENERATE]}
-    return spec, {name: value for name, value in keywords.items() if name not in KEYWORDS[GENERATE]}
+generator_keywords = partial(keywords_of, GENERATE)
 
 
 def draw_building(numbers: range, rng: np.random.Generator) -> int:
@@ -264,8 +221,3 @@ def check_number(number: Any, count: int) -> int:
     if not 0 <= number < count:
         raise ConfigError(f"building: {number}, there are {count}, numbered from 0")
     return int(number)
-
-
-def count_all(source: Source) -> int:
-    """One more than the largest number that an episode may name."""
-    return source.all if isinstance(source, GeneratedLayouts) else source.count

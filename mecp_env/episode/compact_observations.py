@@ -96,18 +96,14 @@ def flat_columns(actions: str, uncertainty: bool) -> tuple[Column, ...]:
 def flat_names(env: Any = None, *, actions: str = "velocity", uncertainty: bool = False) -> tuple[str, ...]:
     """The name of each number of a flat observation: see `mecp_env.flat_names`."""
     if env is not None:
-        actions, uncertainty = _options_of(env)
+        config = getattr(getattr(env, "unwrapped", None), "config", None)
+        seen = getattr(config, "observation", None)
+        if config is None or seen is None:
+            raise ConfigError(f"flat_names: env: expected a mecp_env environment, got {env!r:.80}")
+        if seen.format != "flat":
+            raise ConfigError(f"flat_names: env: expected observation='flat', got {seen.format!r}")
+        actions, uncertainty = config.actions, seen.uncertainty
     return tuple(name for name, _ in flat_columns(actions, uncertainty))
-
-
-def _options_of(env: Any) -> tuple[str, bool]:
-    config = getattr(getattr(env, "unwrapped", None), "config", None)
-    seen = getattr(config, "observation", None)
-    if config is None or seen is None:
-        raise ConfigError(f"flat_names: env: expected a mecp_env environment, got {env!r:.80}")
-    if seen.format != "flat":
-        raise ConfigError(f"flat_names: env: expected observation='flat', got {seen.format!r}")
-    return config.actions, seen.uncertainty
 
 
 @compiled

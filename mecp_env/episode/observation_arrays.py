@@ -1,10 +1,8 @@
-"""Compiled functions of the observation: grid windows, landmark and goal rows, bounds.
-
-Name and unit of every column of the observation, in the order of the arrays (see `Observer`).
-"""
+"""The observation in arrays: name, unit and bounds of every column (see `Observer`), and the compiled functions."""
 
 from __future__ import annotations
 
+import functools
 import math
 
 import numpy as np
@@ -12,56 +10,100 @@ from numpy.typing import NDArray
 
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.slam.messages import Belief, FeatureTable
 
 Floats = NDArray[np.float32]
 Part = tuple[int, int, int, int]
+Column = tuple[str, str, tuple[float, float]]  # name, unit ("" for a number without one), bounds
 
 FREE, POLYGON, OCCUPIED, UNKNOWN, DOOR, ROOM, FRONTIER, PATH = (1 << bit for bit in range(8))
 LANDMARKS, GOALS = 128, 32  # rows
 LAYERS = ("free", "polygon", "occupied", "unknown", "door", "room", "frontier", "path")
+EXTENT_M = 200.0  # bound of every position and length
+COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
+
+PLACE, LENGTH, COVARIANCE, VARIANCE = (-EXTENT_M, EXTENT_M), (0.0, EXTENT_M), (-COV_MAX, COV_MAX), (0.0, COV_MAX)
+SHARE, DIRECTION, LABEL, ROOM_ID, PREDICTED_SIGMA = (0.0, 1.0), (-1.0, 1.0), (0.0, 255.0), (-1.0, 255.0), (0.0, 10.0)
+IN_ROBOT_FRAME: tuple[Column, ...] = (("x, robot frame", "m", PLACE), ("y, robot frame", "m", PLACE))
+IN_LAYERS: tuple[Column, ...] = tuple((f"{layer}, 255 where a cell has it", "", LABEL) for layer in LAYERS)
+GOAL: tuple[Column, ...] = (
+    *IN_ROBOT_FRAME,
+    ("length of the path", "m", LENGTH),
+    ("size", "m", LENGTH),
+    ("kind: 0 open edge, 1 candidate door, 2 frontier, 3 door, 4 known ground, 5 wait, 6 look", "", (0.0, 6.0)),
+    ("room, -1 unknown", "", ROOM_ID),
+    ("level", "", LABEL),
+    ("visits", "", LABEL),
+    ("valid", "", SHARE),
+)
+PREDICTED: tuple[Column, ...] = (  # with observation={"uncertainty": True}
+    ("predicted sigma of the position on arrival", "m", PREDICTED_SIGMA),
+    ("predicted sigma of the heading on arrival", "rad", PREDICTED_SIGMA),
+    ("predicted gain of landmark information", "nat", (0.0, 1000.0)),
+)
+COLUMNS: dict[str, tuple[Column, ...]] = {
+    "budget": (("share of the step limit that is left", "", SHARE),),
+    "pose": (
+        ("x, map frame", "m", PLACE),
+        ("y, map frame", "m", PLACE),
+        ("cos of the heading", "", DIRECTION),
+        ("sin of the heading", "", DIRECTION),
+    ),
+    "pose_cov": (
+        ("xx", "m^2", VARIANCE),
+        ("xy", "m^2", COVARIANCE),
+        ("x heading", "m rad", COVARIANCE),
+        ("yy", "m^2", VARIANCE),
+        ("y heading", "m rad", COVARIANCE),
+        ("heading heading", "rad^2", VARIANCE),
+    ),
+    "landmarks": (
+        *IN_ROBOT_FRAME,
+        ("covariance xx, robot frame", "m^2", VARIANCE),
+        ("covariance xy, robot frame", "m^2", COVARIANCE),
+        ("covariance yy, robot frame", "m^2", VARIANCE),
+        ("room, -1 unknown", "", ROOM_ID),
+        ("kind: 0 line crossing, 1 line end, 2 jamb", "", (0.0, 2.0)),
+        ("valid", "", SHARE),
+    ),
+    "goals": (*GOAL, *PREDICTED),
+    "localisation": (
+        ("probability that the position error is below 0.5 m", "", SHARE),
+        ("localised", "", SHARE),
+        ("recent share of recognised corners", "", SHARE),
+    ),
+    "grid": IN_LAYERS,
+    "map": IN_LAYERS,
+    "scan": (("range of a merged beam, the maximum range without a hit", "m", LENGTH),),  # that is the bound
+}
 
 
 @compiled
 def cell_codes(label: Bytes, polygon: Bools, room: NDArray[np.int16], current: int) -> Bytes:
-    """(H,W) one bit a layer (the path left out) for each cell of the semantic grid.
+    """(H,W) one bit a layer (the path left out) for each cell of the semantic grid; `label` (H+2,W+2) has a rim of 0.
 
     A door is free too; a frontier cell is FREE with an UNKNOWN cell (or the grid's border) above, below or beside it.
     """
-    rows, cols = label.shape
-    padded = np.zeros((rows + 2, cols + 2), np.uint8)
-    for i in range(rows):  # not by slices: for their error messages numba compiles its strings, three seconds long
-        for j in range(cols):
-            padded[i + 1, j + 1] = label[i, j]
+    rows, cols = polygon.shape
     codes = np.empty((rows, cols), np.uint8)
     unknown_room = current < 0
     for i in range(rows):
         for j in range(cols):  # without branches, so that it is done for many cells at a time
-            a = padded[i + 1, j + 1]
-            beside = (padded[i, j + 1] == 0) | (padded[i + 2, j + 1] == 0)
-            beside |= (padded[i + 1, j] == 0) | (padded[i + 1, j + 2] == 0)
+            a = label[i + 1, j + 1]
+            beside = (label[i, j + 1] == 0) | (label[i + 2, j + 1] == 0)
+            beside |= (label[i + 1, j] == 0) | (label[i + 1, j + 2] == 0)
             mine = (room[i, j] == current) & (not unknown_room)
             code = FREE * (a & 1) | OCCUPIED * (a == 2) | UNKNOWN * (a == 0) | DOOR * (a == 3)  # FREE 1, DOOR 3
             codes[i, j] = code | POLYGON * polygon[i, j] | ROOM * mine | FRONTIER * ((a == 1) & beside)
     return codes
 
 
-@compiled
 def pool_codes(codes: Bytes, width: int) -> Bytes:
     """(H+w-1,W+w-1) the bits of the `width` x `width` cells up to and with cell [i, j]; unknown outside the grid."""
-    rows, cols = codes.shape
-    tall = np.full((rows + width - 1, cols), UNKNOWN, np.uint8)
-    tall[width - 1 : rows] = 0
-    for i in range(rows):
-        for a in range(width):
-            for j in range(cols):
-                tall[i + a, j] |= codes[i, j]
-    pooled = np.full((rows + width - 1, cols + width - 1), UNKNOWN, np.uint8)
-    pooled[:, width - 1 : cols] = 0
-    for i in range(rows + width - 1):
-        for a in range(width):
-            for j in range(cols):
-                pooled[i, j + a] |= tall[i, j]
+    rim, rows, cols = width - 1, codes.shape[0] + width - 1, codes.shape[1] + width - 1
+    padded = np.full((rows + rim, cols + rim), UNKNOWN, np.uint8)
+    padded[rim:rows, rim:cols] = codes
+    tall = functools.reduce(np.bitwise_or, (padded[a : a + rows] for a in range(width)))
+    pooled: Bytes = functools.reduce(np.bitwise_or, (tall[:, a : a + cols] for a in range(width)))
     return pooled
 
 
@@ -77,27 +119,22 @@ def window_layers(
     """
     n, side = size
     top, start, rows, cols = part
-    flat = pooled.reshape(-1)
     cosine, sine = math.cos(pose[2]), math.sin(pose[2])
     c, s, half = cosine * side / resolution, sine * side / resolution, 0.5 * (n - 1)
     x = (pose[0] - corner[0]) / resolution + c * half - s * half  # the middle of the first cell, ahead on the left
     y = (pose[1] - corner[1]) / resolution + s * half + c * half
-    window, wide, skipped = np.empty((n, n), np.uint8), np.int32(pooled.shape[1]), top * pooled.shape[1] + start
-    down, right, place = np.empty(n), np.empty(n), np.empty(n, np.int32)
-    for j in range(n):
-        down[j], right[j] = c * j, s * j
+    window, flat, wide = np.full((n, n), UNKNOWN, np.uint8), pooled.reshape(-1), np.int32(pooled.shape[1])
+    skipped, place = np.int32(top * pooled.shape[1] + start), np.empty(n, np.int32)
+    down, right = c * np.arange(n), s * np.arange(n)
     for i in range(n):
-        u, v = x - c * i, y - s * i
-        first, last = 0, n  # a row of the window enters the grid once, and leaves it once
+        u, v, first, last = x - c * i, y - s * i, 0, n  # a row of the window enters the grid once, and leaves it once
         while first < n and not ((0.0 <= u + s * first < cols) & (0.0 <= v - c * first < rows)):
-            window[i, first] = UNKNOWN
             first += 1
         while last > first and not ((0.0 <= u + s * (last - 1) < cols) & (0.0 <= v - c * (last - 1) < rows)):
             last -= 1
-            window[i, last] = UNKNOWN
         at, row, below, beside = place[first:last], window[i, first:last], down[first:last], right[first:last]
         for j in range(at.shape[0]):  # several at a time; then those of one row after the other
-            at[j] = np.int32(v - below[j]) * wide + np.int32(u + beside[j]) - np.int32(skipped)
+            at[j] = np.int32(v - below[j]) * wide + np.int32(u + beside[j]) - skipped
         for j in range(at.shape[0]):
             row[j] = flat[np.uint32(at[j])]
     for k in range(path.shape[0]):
@@ -114,27 +151,6 @@ def window_layers(
     return layers.reshape(8, n, n)
 
 
-def belief_tables(
-    belief: Belief, features: FeatureTable, became: Ints, goals: Floats, p_goals: Array, limits: Floats
-) -> tuple[dict[str, Floats], int]:
-    """The tables `pose`, `pose_cov`, `landmarks` and `goals` (G,9) of an observation; how many values were cut.
-
-    `became` (M,): the room that each room is after merges. `goals` holds all but the places `p_goals` (g,2) m, map
-    frame, which are filled in. `limits` (2,27): lower and upper bounds of the columns of the four tables.
-    """
-    pose, pose_cov = np.empty(4, np.float32), np.empty(6, np.float32)
-    landmarks = np.zeros((LANDMARKS, 8), np.float32)
-    T_map_robot, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
-    cut: int = fill_tables(
-        (pose, pose_cov, landmarks, goals),
-        (T_map_robot, cov, belief.p_map, belief.covs),
-        (belief.ids, features.rows["room"], features.rows["kind"], became),
-        p_goals,
-        limits,
-    )
-    return {"pose": pose, "pose_cov": pose_cov, "landmarks": landmarks, "goals": goals}, cut
-
-
 @compiled
 def fill_tables(
     tables: tuple[Floats, Floats, Floats, Floats],
@@ -143,11 +159,11 @@ def fill_tables(
     p_goals: Array,
     limits: Floats,
 ) -> int:
-    """See `belief_tables`: write `pose` (4,), `pose_cov` (6,), `landmarks` (R,8) and the places in `goals` (G,9).
+    """Write `pose` (4,), `pose_cov` (6,), `landmarks` (R,8) and the places in `goals` (G,k); how many values were cut.
 
     `belief`: pose (3,), its covariance (3,3), landmarks (N,2) and their covariances (N,2,2). `labels`: ids (N,) of the
-    landmarks, room and kind (F,) by id, and what each room became (M,). `p_goals` (g,2) m, map frame. `limits` (2,27):
-    lower and upper bounds of the columns of the four tables.
+    landmarks, room and kind (F,) by id, and what each room became (M,). `p_goals` (g,2) m, map frame. `limits`
+    (2,18+k): lower and upper bounds of the columns of the four tables.
     """
     pose, pose_cov, landmarks, goals = tables
     T_map_robot, cov, p_map, covs = belief
@@ -217,53 +233,3 @@ def saturate(rows: Floats, limits: Floats, first: int) -> int:
                 rows[i, j] = low if value < low else high
                 outside += 1
     return outside
-
-
-Column = tuple[str, str]  # name, unit ("" for a number without one)
-
-IN_ROBOT_FRAME: tuple[Column, ...] = (("x, robot frame", "m"), ("y, robot frame", "m"))
-GOAL: tuple[Column, ...] = (
-    *IN_ROBOT_FRAME,
-    ("length of the path", "m"),
-    ("size", "m"),
-    ("kind: 0 open edge, 1 candidate door, 2 frontier, 3 door, 4 known ground, 5 wait, 6 look", ""),
-    ("room, -1 unknown", ""),
-    ("level", ""),
-    ("visits", ""),
-    ("valid", ""),
-)
-PREDICTED: tuple[Column, ...] = (  # with observation={"uncertainty": True}
-    ("predicted sigma of the position on arrival", "m"),
-    ("predicted sigma of the heading on arrival", "rad"),
-    ("predicted gain of landmark information", "nat"),
-)
-COLUMNS: dict[str, tuple[Column, ...]] = {
-    "budget": (("share of the step limit that is left", ""),),
-    "pose": (("x, map frame", "m"), ("y, map frame", "m"), ("cos of the heading", ""), ("sin of the heading", "")),
-    "pose_cov": (
-        ("xx", "m^2"),
-        ("xy", "m^2"),
-        ("x heading", "m rad"),
-        ("yy", "m^2"),
-        ("y heading", "m rad"),
-        ("heading heading", "rad^2"),
-    ),
-    "landmarks": (
-        *IN_ROBOT_FRAME,
-        ("covariance xx, robot frame", "m^2"),
-        ("covariance xy, robot frame", "m^2"),
-        ("covariance yy, robot frame", "m^2"),
-        ("room, -1 unknown", ""),
-        ("kind: 0 line crossing, 1 line end, 2 jamb", ""),
-        ("valid", ""),
-    ),
-    "goals": (*GOAL, *PREDICTED),
-    "localisation": (
-        ("probability that the position error is below 0.5 m", ""),
-        ("localised", ""),
-        ("recent share of recognised corners", ""),
-    ),
-    "grid": tuple((f"{layer}, 255 where a cell has it", "") for layer in LAYERS),
-    "map": tuple((f"{layer}, 255 where a cell has it", "") for layer in LAYERS),
-    "scan": (("range of a merged beam, the maximum range without a hit", "m"),),
-}

@@ -12,24 +12,18 @@ from numpy.typing import NDArray
 
 from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.episode import observation_arrays
-from mecp_env.episode.observation_arrays import GOALS, LANDMARKS, Part
+from mecp_env.episode.observation_arrays import COLUMNS, GOAL, GOALS, LANDMARKS, LAYERS, Column, Floats, Part
 from mecp_env.planning.goals import Goals
 from mecp_env.slam.messages import FeatureTable, RoomGraph, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 
 GRID = (96, 0.2)  # cells per side, m per cell
 MAP = (64, 0.8)
-EXTENT_M = 200.0  # bound of every position and length
-COV_MAX = 100.0  # bound of every covariance (m^2, m rad, rad^2)
-SIGMA_MAX_M = 10.0  # bound of a predicted standard deviation
-SIGMA_MAX_RAD = 10.0
-GAIN_MAX_NAT = 1000.0  # bound of a predicted gain of information
-LABEL_MAX = 255.0  # bound of room ids, levels and visits; rooms may be -1, unknown
 TRAIL_STEP_M = 0.1
-GOAL_COLUMNS = 27  # of the tables pose, pose_cov, landmarks and goals, without the predicted ones of the goals
+TABLES = ("pose", "pose_cov", "landmarks", "goals")
+ROWS = {"landmarks": LANDMARKS, "goals": GOALS}
 BLOCK = 32  # cells: what is kept of a grid begins and ends at multiples
 FARTHEST = 2.0**40  # cells
-NOTHING_MERGED = np.empty(0, np.int64)
 
 
 @dataclass(slots=True, eq=False)
@@ -62,34 +56,27 @@ class Seen(NamedTuple):
     budget: float = 1.0  # share of the step limit that is left
 
 
-def bounds(rows: int, low: list[float], high: list[float]) -> spaces.Box:
-    """A float32 box of `rows` rows with the bounds of each column."""
-    return spaces.Box(
-        np.tile(np.array(low, np.float32), (rows, 1)), np.tile(np.array(high, np.float32), (rows, 1)), dtype=np.float32
-    )
+def limits_of(name: str, uncertainty: bool) -> Floats:
+    """(2,k) the lower and upper bounds of the columns of a table."""
+    columns = GOAL if name == "goals" and not uncertainty else COLUMNS[name]
+    limits = np.array([bounds for _, _, bounds in columns], np.float32).T.copy()
+    if columns is GOAL:
+        limits[1, 4] = 3.0  # kinds
+    return limits
+
+
+def table_space(name: str, uncertainty: bool) -> spaces.Box:
+    """The space of a table, or of a row of numbers."""
+    low, high = (np.tile(row, (ROWS[name], 1)) if name in ROWS else row for row in limits_of(name, uncertainty))
+    return spaces.Box(low, high, dtype=np.float32)
 
 
 def make_space(with_map: bool, beams: int, max_range_m: float, uncertainty: bool = False) -> spaces.Dict:
     """The observation space; `beams` is 0 without the scan."""
-    far, cov, label = EXTENT_M, COV_MAX, LABEL_MAX
-    goal_low, goal_high = [-far, -far, 0, 0, 0, -1, 0, 0, 0], [far, far, far, far, 3, label, label, label, 1]
-    if uncertainty:
-        goal_low = [*goal_low, 0, 0, 0]
-        goal_high = [*goal_high[:4], 6, *goal_high[5:], SIGMA_MAX_M, SIGMA_MAX_RAD, GAIN_MAX_NAT]
-    parts: dict[str, spaces.Space[Any]] = {
-        "budget": spaces.Box(0.0, 1.0, (1,), np.float32),
-        "pose": spaces.Box(np.array([-far, -far, -1, -1], np.float32), np.array([far, far, 1, 1], np.float32)),
-        "pose_cov": spaces.Box(
-            np.array([0, -cov, -cov, 0, -cov, 0], np.float32), np.full(6, cov, np.float32), dtype=np.float32
-        ),
-        "landmarks": bounds(LANDMARKS, [-far, -far, 0, -cov, 0, -1, 0, 0], [far, far, cov, cov, cov, label, 2, 1]),
-        "goals": bounds(GOALS, goal_low, goal_high),
-        "grid": spaces.Box(0, 255, (len(observation_arrays.LAYERS), GRID[0], GRID[0]), np.uint8),
-    }
-    if with_map:
-        parts["map"] = spaces.Box(0, 255, (len(observation_arrays.LAYERS), MAP[0], MAP[0]), np.uint8)
-    if uncertainty:
-        parts["localisation"] = spaces.Box(0.0, 1.0, (3,), np.float32)
+    names = ("budget", *TABLES, "localisation") if uncertainty else ("budget", *TABLES)
+    parts: dict[str, spaces.Space[Any]] = {name: table_space(name, uncertainty) for name in names}
+    for name, (cells, _) in {"grid": GRID, "map": MAP}.items() if with_map else [("grid", GRID)]:
+        parts[name] = spaces.Box(0, 255, (len(LAYERS), cells, cells), np.uint8)
     if beams:
         parts["scan"] = spaces.Box(0.0, max_range_m, (beams,), np.float32)
     return spaces.Dict(parts)
@@ -124,15 +111,16 @@ class Observer:
         self, with_map: bool = False, beams: int = 0, max_range_m: float = 30.0, uncertainty: bool = False
     ) -> None:
         self.space = make_space(with_map, beams, max_range_m, uncertainty)
-        self._tables, self._windows = BeliefTables(uncertainty), GridWindows()
-        self._scan_limits = column_limits(self.space, ("scan",) if beams else ())
-        self._uncertainty = uncertainty
+        self._uncertainty, self._windows = uncertainty, GridWindows()
+        self._limits = np.concatenate([limits_of(name, uncertainty) for name in TABLES], axis=1)
+        self._scan_limits = np.array([[0.0], [max_range_m]], np.float32)
+        self._goals: Goals | None = None
+        self._became, self._merges = np.empty(0, np.int64), 0
 
     def observe(self, seen: Seen) -> tuple[dict[str, NDArray[Any]], int]:
         """The observation in fresh arrays, and how many of its values were cut to their bounds or left out."""
         output, goals, trail = seen.output, seen.goals, seen.path
-        tables, outside = self._tables.read(output, seen.features, goals)
-        observation: dict[str, NDArray[Any]] = dict(tables)
+        observation, outside = self._tables(output, seen.features, goals)
         observation["budget"] = np.array([seen.budget], np.float32)
         observation["grid"] = self._windows.layers(output, trail, GRID)
         if "map" in self.space.spaces:
@@ -142,46 +130,24 @@ class Observer:
             observation["localisation"] = np.array(trust, np.float32)
         if "scan" in self.space.spaces:
             observation["scan"] = scan = output.beams.ranges.astype(np.float32)
-            outside += observation_arrays.saturate(scan.reshape(1, -1), self._scan_limits, 0)
+            outside += observation_arrays.saturate(scan.reshape(-1, 1), self._scan_limits, 0)
         left_out = max(0, len(output.belief.ids) - LANDMARKS) + max(0, len(goals) - GOALS)
         return observation, left_out + outside
 
-
-class BeliefTables:
-    """The tables `pose`, `pose_cov`, `landmarks` and `goals` of `Observer`; keeps only a cache."""
-
-    def __init__(self, uncertainty: bool = False) -> None:
-        space = make_space(False, 0, 1.0, uncertainty)
-        self._limits = column_limits(space, ("pose", "pose_cov", "landmarks", "goals"))  # goals: the last columns
-        self._predicted_limits = self._limits[:, GOAL_COLUMNS:] if uncertainty else None
-        self._goals, self._goal_rows = Goals(), goal_rows(Goals())
-        self._became, self._merges = NOTHING_MERGED, 0
-
-    def read(
-        self, output: SlamOutput, features: FeatureTable, goals: Goals
-    ) -> tuple[dict[str, NDArray[np.float32]], int]:
+    def _tables(self, output: SlamOutput, features: FeatureTable, goals: Goals) -> tuple[dict[str, NDArray[Any]], int]:
         """The tables in fresh arrays, and how many of their values were cut to their bounds."""
-        became, rows = self._rooms(output.graph), self._goal_columns(goals).copy()
-        tables, outside = observation_arrays.belief_tables(
-            output.belief, features, became, rows, goals.p_map, self._limits
-        )
-        if self._predicted_limits is not None:
-            predicted = predicted_columns(goals)
-            outside += observation_arrays.saturate(predicted, self._predicted_limits, 0)
-            tables["goals"] = np.concatenate([tables["goals"], predicted], axis=1)
-        return tables, outside
-
-    def _goal_columns(self, goals: Goals) -> NDArray[np.float32]:
-        """(32,9) the first goals of the list without their place; they change only when goals are looked for."""
-        if goals is not self._goals:
-            self._goals, self._goal_rows = goals, goal_rows(goals)
-        return self._goal_rows
-
-    def _rooms(self, graph: RoomGraph) -> Ints:
-        """(M,) what each room became after all merges; a room beyond the table is itself."""
+        belief, graph = output.belief, output.graph
+        if goals is not self._goals:  # they change only when goals are looked for
+            self._goals, self._goal_rows = goals, goal_rows(goals, COLUMNS["goals"] if self._uncertainty else GOAL)
         if len(graph.merged) != self._merges:
             self._merges, self._became = len(graph.merged), rooms_after_merges(graph)
-        return self._became
+        pose, cov = np.ascontiguousarray(belief.T_map_robot), np.ascontiguousarray(belief.pose_cov)
+        landmarks = np.zeros((LANDMARKS, len(COLUMNS["landmarks"])), np.float32)
+        tables = np.empty(4, np.float32), np.empty(6, np.float32), landmarks, self._goal_rows.copy()
+        labels = belief.ids, features.rows["room"], features.rows["kind"], self._became
+        world = pose, cov, belief.p_map, belief.covs
+        outside = observation_arrays.fill_tables(tables, world, labels, goals.p_map, self._limits)
+        return dict(zip(TABLES, tables, strict=True)), outside
 
 
 class GridWindows:
@@ -206,10 +172,10 @@ class GridWindows:
         (top, bottom, left, right), (rows, columns) = rect, grid.label.shape
         key = (grid.version, room, *rect)
         if width not in self._cache or self._cache[width][0] != key:
-            shown = np.s_[top:bottom, left:right]
-            label, polygon, rooms = grid.label[shown].copy(), grid.polygon[shown].copy(), grid.room[shown].copy()
-            codes = observation_arrays.pool_codes(observation_arrays.cell_codes(label, polygon, rooms, room), width)
-            self._cache[width] = key, codes
+            shown, label = np.s_[top:bottom, left:right], np.zeros((bottom - top + 2, right - left + 2), np.uint8)
+            label[1:-1, 1:-1] = grid.label[shown]
+            codes = observation_arrays.cell_codes(label, grid.polygon[shown].copy(), grid.room[shown].copy(), room)
+            self._cache[width] = key, observation_arrays.pool_codes(codes, width)
         return self._cache[width][1], (top, left, rows + width - 1, columns + width - 1)
 
 
@@ -223,30 +189,16 @@ def around(grid: SemanticGrid, pose: Array, reach: int) -> Part:
     return ends[0], ends[1], ends[2], ends[3]
 
 
-def column_limits(space: spaces.Dict, names: tuple[str, ...]) -> NDArray[np.float32]:
-    """(2,k) lower and upper bound of the columns of some tables, one table after the other."""
-    boxes = [space.spaces[name] for name in names]
-    rows = [[np.atleast_2d(bound)[0] for bound in (box.low, box.high)] for box in boxes if isinstance(box, spaces.Box)]
-    return np.concatenate([np.empty((2, 0), np.float32), *(np.array(row, np.float32) for row in rows)], axis=1)
-
-
 def rooms_after_merges(graph: RoomGraph) -> Ints:
     """(M,) the room that each room up to the last merged one stands for."""
     return np.array([graph.resolve(room) for room in range(1 + max(graph.merged, default=-1))], np.int64)
 
 
-def predicted_columns(goals: Goals) -> NDArray[np.float32]:
-    """(32,3) predicted sigmas on arrival and gain of information of the first goals of the list."""
-    rows = np.zeros((GOALS, 3), np.float32)
-    for column, values in enumerate((goals.sigma_m, goals.sigma_rad, goals.gain_nat)):
-        rows[: len(values), column] = values[:GOALS]
-    return rows
-
-
-def goal_rows(goals: Goals) -> NDArray[np.float32]:
-    """(32,9) the columns of the first goals of the list, their place left out."""
-    rows = np.zeros((GOALS, 9), np.float32)
-    columns = (goals.path_m, goals.size_m, goals.kind, goals.room, goals.level, goals.visits, np.ones(len(goals)))
-    for column, values in enumerate(columns, start=2):
+def goal_rows(goals: Goals, columns: tuple[Column, ...]) -> Floats:
+    """(32,k) the columns of the first goals of the list, their place left out."""
+    rows = np.zeros((GOALS, len(columns)), np.float32)
+    known = goals.path_m, goals.size_m, goals.kind, goals.room, goals.level, goals.visits, np.ones(len(goals))
+    predicted = goals.sigma_m, goals.sigma_rad, goals.gain_nat
+    for column, values in zip(range(2, len(columns)), (*known, *predicted), strict=False):
         rows[: len(goals), column] = values[:GOALS]
     return rows

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.special import erf
 
 from mecp_env.config import REWARDS, RewardConfig
-from mecp_env.core.carriers import Array, Bytes, Ints
+from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.jit import compiled
 from mecp_env.core.settings import shown
@@ -56,8 +56,8 @@ def expected_area(inputs: RewardInputs) -> float:
     The sum over the mapped cells of 1 - exp(-tau^2 / (2 s^2)), tau 0.15 m, s^2 half the trace of the covariance of the
     nearest landmark: the probability that an error of that sigma in two dimensions is below tau.
     """
-    area_m2, reliability = mapped_blocks(inputs)
-    return float(area_m2 @ reliability)
+    area_m2, s2 = mapped(inputs)
+    return float(area_m2 @ reliability(s2))
 
 
 def entropy(inputs: RewardInputs) -> float:
@@ -65,8 +65,8 @@ def entropy(inputs: RewardInputs) -> float:
 
     p = (1 + r) / 2 with the reliability r of `expected_area`; a cell that is not mapped has ln 2.
     """
-    area_m2, reliability = mapped_blocks(inputs)
-    p, q = 0.5 * (1.0 + reliability), 0.5 * (1.0 - reliability)
+    area_m2, s2 = mapped(inputs)
+    p, q = 0.5 * (1.0 + reliability(s2)), 0.5 * (1.0 - reliability(s2))
     uncertain = -(p * np.log(p) + q * np.log(np.maximum(q, 1e-12)))
     return float(area_m2 @ (math.log(2.0) - uncertain))
 
@@ -78,54 +78,50 @@ def expected_correct_m2(inputs: RewardInputs) -> float:
     the trace of the covariance of the nearest landmark: the probability that a wall drawn with that sigma is off by
     less than tau across its direction.
     """
-    area_m2, s2 = blocks(inputs, only_floor=True)
+    area_m2, s2 = mapped(inputs, only_floor=True)
     return float(area_m2 @ erf(WALL_M / np.sqrt(2.0 * s2)))
 
 
-def mapped_blocks(inputs: RewardInputs) -> tuple[Array, Array]:
-    """(b,) m^2 of mapped cells in each block that has some, and (b,) how reliable its nearest landmark is."""
-    area_m2, s2 = blocks(inputs)
-    return area_m2, 1.0 - np.exp(-(TAU_M**2) / (2.0 * s2))
+def reliability(s2: Array) -> Array:
+    """(b,) the probability that an error of these variances, m^2, in two dimensions is below tau."""
+    probability: Array = 1.0 - np.exp(-(TAU_M**2) / (2.0 * s2))
+    return probability
 
 
-def blocks(inputs: RewardInputs, only_floor: bool = False) -> tuple[Array, Array]:
+def mapped(inputs: RewardInputs, only_floor: bool = False) -> tuple[Array, Array]:
     """(b,) m^2 of mapped cells, or FREE and DOOR ones, in each block that has some, and (b,) s^2 of its nearest
     landmark, m^2: half the trace of its covariance.
     """
     grid, belief = inputs.grid, inputs.belief
-    if inputs.diverged or not len(belief.ids) or not grid.label.size:
+    if inputs.diverged or not len(belief.ids):
         return np.empty(0), np.empty(0)
-    cells = mapped_cells(grid.label, only_floor)
-    row, column = np.nonzero(cells)
-    middles = grid.origin + (np.stack([column, row], axis=1) + 0.5) * BLOCK_CELLS * grid.resolution_m
-    s2 = 0.5 * (belief.covs[:, 0, 0] + belief.covs[:, 1, 1])[nearest_landmarks(middles, belief.p_map)]
-    return cells[row, column].astype(np.float64) * grid.resolution_m**2, np.maximum(s2, LEAST_VARIANCE)
+    return mapped_blocks(grid.label, grid.origin, float(grid.resolution_m), belief.p_map, belief.covs, only_floor)
 
 
 @compiled
-def nearest_landmarks(places: Array, p_map: Array) -> Ints:
-    """(b,) the row of the landmark (N,2) that is nearest to each place (b,2)."""
-    nearest = np.empty(places.shape[0], np.int64)
-    for i in range(places.shape[0]):
-        best = math.inf
+def mapped_blocks(
+    label: Bytes, corner: Array, cell_m: float, p_map: Array, covs: Array, only_floor: bool
+) -> tuple[Array, Array]:
+    """See `mapped`: of a grid (H,W) with its lower left corner (2,), and landmarks (N,2) with covariances (N,2,2)."""
+    (height, width), side = label.shape, BLOCK_CELLS
+    rows, columns, n = (height + side - 1) // side, (width + side - 1) // side, 0
+    area, s2 = np.empty(rows * columns), np.empty(rows * columns)
+    for block in range(rows * columns):
+        row, column, cells = block // columns * side, block % columns * side, 0
+        for i in range(row, min(row + side, height)):
+            for j in range(column, min(column + side, width)):
+                cells += label[i, j] > 0 and not (only_floor and label[i, j] == OCCUPIED)  # UNKNOWN is 0
+        if cells == 0:
+            continue
+        x, y = corner[0] + (column / side + 0.5) * side * cell_m, corner[1] + (row / side + 0.5) * side * cell_m
+        nearest = math.inf
         for k in range(p_map.shape[0]):
-            square = (p_map[k, 0] - places[i, 0]) ** 2 + (p_map[k, 1] - places[i, 1]) ** 2
-            if square < best:
-                nearest[i], best = k, square
-    return nearest
-
-
-@compiled
-def mapped_cells(label: Bytes, only_floor: bool) -> Ints:
-    """(H/8,W/8), rounded up: how many cells of each block of (H,W) are mapped, or FREE or DOOR."""
-    height, width = label.shape
-    cells = np.zeros(((height + BLOCK_CELLS - 1) // BLOCK_CELLS, (width + BLOCK_CELLS - 1) // BLOCK_CELLS), np.int64)
-    for row in range(height):
-        counts = cells[row // BLOCK_CELLS]
-        for column in range(width):
-            cell = label[row, column]
-            counts[column // BLOCK_CELLS] += cell > 0 and not (only_floor and cell == OCCUPIED)  # UNKNOWN is 0
-    return cells
+            square = (p_map[k, 0] - x) ** 2 + (p_map[k, 1] - y) ** 2
+            if square < nearest:
+                nearest, s2[n] = square, max(0.5 * (covs[k, 0, 0] + covs[k, 1, 1]), LEAST_VARIANCE)
+        area[n] = cells * (cell_m * cell_m)
+        n += 1
+    return area[:n], s2[:n]
 
 
 def d_optimality(inputs: RewardInputs) -> float:

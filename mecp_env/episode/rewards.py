@@ -8,9 +8,9 @@ its mean over the step limit.
 
 from __future__ import annotations
 
+import contextlib
 import math
 from dataclasses import dataclass, field
-from operator import mul
 from typing import NamedTuple
 
 import numpy as np
@@ -57,11 +57,6 @@ def weights_of(config: RewardConfig) -> dict[str, float]:
     return {name: getattr(config, name) for name in TERMS} | config.custom
 
 
-def measured_potentials(config: RewardConfig) -> list[str]:
-    """The potentials that have a weight: the others are not measured."""
-    return [name for name in OURS if getattr(config, name)] + [name for name, weight in config.custom.items() if weight]
-
-
 def new_memory(inputs: RewardInputs, config: RewardConfig) -> RewardMemory:
     """The memory at the start of an episode."""
     memory = RewardMemory()
@@ -72,7 +67,10 @@ def new_memory(inputs: RewardInputs, config: RewardConfig) -> RewardMemory:
 
 def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
     """Update the potentials in `memory` to this step."""
-    memory.potentials = {name: measured(name, inputs) for name in measured_potentials(config)}
+    weighted = [name for name in OURS if getattr(config, name)] + [
+        name for name in config.custom if config.custom[name]
+    ]
+    memory.potentials = {name: measured(name, inputs) for name in weighted}
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
     memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
     memory.landmark_nat = 0.0 if inputs.diverged else landmark_nat
@@ -84,13 +82,10 @@ def measured(name: str, inputs: RewardInputs) -> float:
         value = POTENTIALS[name](inputs)
     except Exception as error:  # code of the user may raise anything
         raise ConfigError(f"reward: the potential {name!r} failed: {Failure.of(error).reason}") from error
-    try:
-        found = float(value)
-    except (TypeError, ValueError, OverflowError):
-        found = math.nan
-    if not math.isfinite(found):
-        raise ConfigError(f"reward: the potential {name!r} gave {shown(value)}, a finite number expected")
-    return found
+    with contextlib.suppress(TypeError, ValueError, OverflowError):
+        if math.isfinite(value):
+            return float(value)
+    raise ConfigError(f"reward: the potential {name!r} gave {shown(value)}, a finite number expected")
 
 
 def area(memory: RewardMemory, inputs: RewardInputs, sure: bool) -> float:
@@ -122,16 +117,11 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
     area_m2, pose_nat, landmark_nat, before = memory.area_m2, memory.pose_nat, memory.landmark_nat, memory.potentials
     remember(memory, inputs, config)
     changes = {name: value - before.get(name, 0.0) for name, value in memory.potentials.items()}
-    return (
-        dict.fromkeys((*METRIC_TERMS, *OURS, *config.custom), 0.0)
-        | metric_terms(memory.metric, inputs, config)
-        | changes
-        | {
-            "area": memory.area_m2 - area_m2,
-            "pose_information": memory.pose_nat - pose_nat,
-            "landmark_information": memory.landmark_nat - landmark_nat,
-        }
-    )
+    changes["area"] = memory.area_m2 - area_m2
+    changes["pose_information"] = memory.pose_nat - pose_nat
+    changes["landmark_information"] = memory.landmark_nat - landmark_nat
+    none = dict.fromkeys((*METRIC_TERMS, *OURS, *config.custom), 0.0)
+    return none | metric_terms(memory.metric, inputs, config) | changes
 
 
 class Happened(NamedTuple):
@@ -169,7 +159,7 @@ def events(memory: RewardMemory, happened: Happened) -> dict[str, float]:
 
 def apply_weights(weights: dict[str, float], terms: dict[str, float]) -> dict[str, float]:
     """Each term times its weight, in the order of `weights_of`; the reward is their sum."""
-    return dict(zip(weights, map(mul, weights.values(), map(terms.__getitem__, weights)), strict=True))
+    return {name: weight * terms[name] for name, weight in weights.items()}
 
 
 @compiled

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from shapely.geometry import Point
 
-from mecp_env.config import unknown
+from mecp_env.config import alternatives
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import number
@@ -31,7 +31,7 @@ def parse_options(options: Any) -> dict[str, Any]:
         raise ConfigError(f"options: expected a dict or None, given {type(options).__name__}")
     for name in options:
         if name not in OPTIONS:
-            raise ConfigError(unknown(name, list(OPTIONS), "options"))
+            raise ConfigError(f"options.{name}: no such field{alternatives(name, OPTIONS)}")
     return options
 
 
@@ -52,21 +52,14 @@ def check_start(start: Any, outline: Outline, robot: RobotConfig) -> Start:
     if isinstance(start, str) and start == "random":
         check_space(outline, robot)
         return start
-    if isinstance(start, str) and start == "layout":
-        check_room(tuple(outline.starts[0].tolist()), outline, robot)
-        return start
-    pose = to_pose(start)
+    own = isinstance(start, str) and start == "layout"
+    pose = to_pose(outline.starts[0] if own else start)
     if not outline.free_area.contains(Point(pose[:2])):
         raise ConfigError(f"start: {pose} does not lie in the free space of {outline.name!r}")
-    check_room(pose, outline, robot)
-    return pose
-
-
-def check_room(pose: tuple[float, ...], outline: Outline, robot: RobotConfig) -> None:
-    """Raise `ConfigError` where the robot would touch a wall."""
     room = wall_distance(outline.segments, pose[0], pose[1])
     if room < robot.radius_m:
         raise ConfigError(f"start: {pose} is {room:.3f} m from a wall, at least robot.radius_m = {robot.radius_m}")
+    return "layout" if own else pose
 
 
 def check_space(outline: Outline, robot: RobotConfig) -> None:

@@ -12,7 +12,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.sensors import Scan
 from mecp_env.core.snapshot import StateError, damage_refused
-from mecp_env.episode.buildings import check_number, choose_buildings, count_all, draw_building, make_source
+from mecp_env.episode.buildings import check_number, choose_buildings, draw_building, make_source
 from mecp_env.episode.episode import EpisodeState, check_arrays, check_truth
 from mecp_env.episode.start import Start, check_start, start_pose
 from mecp_env.evaluation.ground_truth import CELL_M, NO_OBSTACLES, DynamicObstacles, GroundTruth
@@ -129,7 +129,7 @@ class TrueWorld:
     def building_of(self, state: dict[str, Any]) -> int:
         """The building of a state. Raises `StateError`."""
         try:
-            return check_number(state["building"], count_all(self._source))
+            return check_number(state["building"], self._source.all)
         except ConfigError as error:
             raise StateError(f"state.{error}") from None
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -46,10 +46,9 @@ JUMP_M = 5.0  # no robot moves so far from one scan to the next
 LEAST = {ALONG: 0.005, TURN: 0.1}  # sigmas per square root of a metre, m and deg: no odometry of wheels is better
 COARSE = 2.0  # times the range noise of the description: from there on that which is measured is taken. It is that of
 # single beams on straight walls; the description also stands for walls that are not straight
-DEGREES = {"turn_bias_rad_per_m": "turn_bias_deg_per_m", "heading_rad": "heading_deg"}
 UNITS = np.array([1.0, 1.0, math.radians(1.0), 1.0, math.radians(1.0)])  # of `NAMES`, as fields have them
 NOISE = ("distance_sigma_m", "distance_sigma_turning_m", "turn_sigma_deg", "turn_sigma_turning_deg")
-FIELDS = (*(DEGREES.get(name, name) for name in NAMES), *NOISE, "range_sigma_m")  # that are calibrated
+FIELDS = (*NAMES, *NOISE, "range_sigma_m")  # that are calibrated
 OF_SENSOR = frozenset({"x_m", "heading_deg", "range_sigma_m"})
 
 
@@ -74,18 +73,11 @@ class Calibration:
     range_noise_m: float | None  # of beams on straight walls, as measured
     notes: tuple[str, ...] = ()  # which fields keep their defaults, and why
 
-    @property
-    def of_sensor(self) -> dict[str, float]:
-        """The fields of the sensor model that are calibrated."""
-        return {name: getattr(self.sensor, name) for name in sorted(OF_SENSOR)}
-
     def as_dict(self) -> dict[str, Any]:
         """Plain data for `metrics.json`."""
-        fields = {name: {"value": e.value, "sigma": e.sigma, "source": e.source} for name, e in self.estimates.items()}
-        return {"fields": fields, "registered": self.registered, "tried": self.tried} | {
-            "range_noise_m": self.range_noise_m,
-            "notes": list(self.notes),
-        }
+        fields = {name: asdict(estimate) for name, estimate in self.estimates.items()}
+        counts = {"registered": self.registered, "tried": self.tried, "range_noise_m": self.range_noise_m}
+        return {"fields": fields, **counts, "notes": list(self.notes)}
 
 
 def calibrated(
@@ -155,10 +147,8 @@ def _start(given: Mapping[str, float]) -> tuple[Array, Ints]:
     """(5,) the values to start from, relative to the described mounting, and which of them are free."""
     start = NOTHING.copy()
     for i, name in enumerate(NAMES[:3]):
-        field = DEGREES.get(name, name)
-        if field in given:
-            start[i] = given[field] * (UNITS[i] if field != name else 1.0)
-    return start, np.array([i for i, name in enumerate(NAMES) if DEGREES.get(name, name) not in given], np.int64)
+        start[i] = given.get(name, start[i] / UNITS[i]) * UNITS[i]
+    return start, np.array([i for i, name in enumerate(NAMES) if name not in given], np.int64)
 
 
 def _systematic(found: Systematic, described: Array) -> dict[str, Estimate]:
@@ -167,7 +157,7 @@ def _systematic(found: Systematic, described: Array) -> dict[str, Estimate]:
     values[-1] = math.remainder(float(values[-1]), 2.0 * math.pi)  # of a laser that looks backwards, about half a turn
     values, sigmas = values / UNITS, found.sigmas / UNITS
     known = np.flatnonzero(found.sigmas < UNKNOWN_SHARE * SPREAD)
-    return {FIELDS[i]: Estimate(float(values[i]), float(sigmas[i]), "estimated") for i in known}
+    return {NAMES[i]: Estimate(float(values[i]), float(sigmas[i]), "estimated") for i in known}
 
 
 def _noise(left: Residuals) -> dict[str, Estimate]:

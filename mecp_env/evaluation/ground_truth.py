@@ -46,15 +46,6 @@ class FloorAndWalls(NamedTuple):
     p_walls: Array  # (w,2) m
 
 
-def floor_and_walls(centres: Array, free: Bools, segments: Array) -> FloorAndWalls:
-    """The cells of a raster with centres (H,W,2) that are `free` (H,W), and the faces (S,2,2) m as points."""
-    p_world = np.ascontiguousarray(centres[free])
-    lines = shapely.segmentize(shapely.linestrings(segments), SPACING_M)
-    p_walls = shapely.get_coordinates(lines)
-    _, wall = cKDTree(p_walls).query(p_world)
-    return FloorAndWalls(p_world, np.asarray(wall, np.int64), p_walls)
-
-
 def correct_coverage(floor: FloorAndWalls, grid: SemanticGrid, T_world_map: Array) -> float:
     """Share of the true free cells that the map calls FREE or DOOR, and whose nearest true wall is in the map.
 
@@ -83,14 +74,6 @@ class MapQuality:
         self.metres += counted
         self.over_steps += self.correct_coverage
         self.over_metres += counted * self.correct_coverage
-
-    def mean_over_steps(self, steps: int, limit: int) -> float:
-        """Mean over the step limit, the last value held after `steps`."""
-        return (self.over_steps + max(0, limit - steps) * self.correct_coverage) / limit
-
-    def mean_over_metres(self, budget_m: float) -> float:
-        """Mean over the first `budget_m` metres, the last value held."""
-        return (self.over_metres + (budget_m - self.metres) * self.correct_coverage) / budget_m
 
 
 class DynamicObstacles(NamedTuple):
@@ -191,7 +174,11 @@ class GroundTruth:
     @cached_property
     def floor_and_walls(self) -> FloorAndWalls:
         """The free cells, each with the place on a wall that is nearest to it."""
-        return floor_and_walls(self.centres, self.free, self.outline.segments)
+        p_world = np.ascontiguousarray(self.centres[self.free])
+        lines = shapely.segmentize(shapely.linestrings(self.outline.segments), SPACING_M)
+        p_walls = shapely.get_coordinates(lines)
+        _, wall = cKDTree(p_walls).query(p_world)
+        return FloorAndWalls(p_world, np.asarray(wall, np.int64), p_walls)
 
     def room_at(self, p_world: Array) -> int:
         """Index of the room at `p_world` (2,), or -1."""
@@ -200,12 +187,6 @@ class GroundTruth:
         room, row, col = self.room, int(y / CELL_M), int(x / CELL_M)
         inside = y >= 0.0 and x >= 0.0 and row < room.shape[0] and col < room.shape[1]
         return int(room[row, col]) if inside else -1
-
-    def count_cells(self, cells: Bools, p_world: Array) -> int:
-        """How many points (n,2) lie in the marked `cells` (H,W)."""
-        columns, rows = np.floor((p_world - self.corner) / CELL_M).astype(np.int64).T
-        inside = (rows >= 0) & (columns >= 0) & (rows < cells.shape[0]) & (columns < cells.shape[1])
-        return int(cells[rows[inside], columns[inside]].sum())
 
     def sweep(self, T_world_robot: Array, seen: Bools) -> int:
         """Mark in `seen` (H,W) the free cells visible from the true pose (3,); returns the number of new ones."""
@@ -231,9 +212,14 @@ def doors_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> t
 
     A door of the map whose jambs are no longer landmarks counts as none.
     """
+    found = len(_true_doors(truth, output, T_world_map))
+    return found, len(output.graph.doors) - found
+
+
+def _true_doors(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> list[tuple[int, int]]:
+    """Row of each door of the map that is a true one, and of that one."""
     p_world = to_map(T_world_map, door_centres(output.graph.doors, output.belief))
-    found = len(nearest_pairs(_from_doorways(truth, p_world), DOOR_GATE_M))
-    return found, len(p_world) - found
+    return nearest_pairs(_from_doorways(truth, p_world), DOOR_GATE_M)
 
 
 def _from_doorways(truth: GroundTruth, p_world: Array) -> Array:
@@ -263,9 +249,7 @@ def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
 
 def door_error(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> float:
     """Mean distance (m) of the doors found from the truth: of the middle of each face that is known; 0 without one."""
-    doors = output.graph.doors
-    p_world = to_map(T_world_map, door_centres(doors, output.belief))
-    found = nearest_pairs(_from_doorways(truth, p_world), DOOR_GATE_M)
+    doors, found = output.graph.doors, _true_doors(truth, output, T_world_map)
     errors = [_face_error(truth, doors[d], output.belief, T_world_map, true) for d, true in found]
     return float(np.mean(errors)) if errors else 0.0
 
@@ -280,22 +264,11 @@ def _face_error(truth: GroundTruth, door: Door, belief: Belief, T_world_map: Arr
     return float(cdist(to_map(T_world_map, p_map), faces).min(axis=1).mean())
 
 
-def landmark_errors(p_world: Array, belief: Belief, corner: Ints, T_world_map: Array) -> Array:
-    """(N,) m: distance of each landmark from the true corner that it is of, nan for one that is of none.
-
-    `p_world` (C,2) are the true corners, `corner` (N,) is the index of that of each landmark, -1 for none. Measured in
-    the map frame, which is where the robot believed to start: nothing is fitted, so that a map that slides off counts.
-    """
-    away = to_map(T_world_map, np.ascontiguousarray(belief.p_map)) - p_world[corner]
-    errors: Array = np.where(corner >= 0, np.hypot(away[:, 0], away[:, 1]), np.nan)
-    return errors
-
-
 def covers(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> tuple[float, float]:
     """Share of the true free area that lies under polygons, and share that the grid calls FREE or DOOR."""
     p_map = to_map(inverse(T_world_map), truth.centres[truth.free])
     free = np.isin(labels_at(grid, p_map), (int(Cell.FREE), int(Cell.DOOR)))
-    return float(cells_at(grid, grid.polygon, p_map, False).mean()), float(free.mean())
+    return float(cells_at(grid.polygon, grid.origin, grid.resolution_m, p_map, False).mean()), float(free.mean())
 
 
 def rooms_found(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> tuple[int, int]:
@@ -332,15 +305,15 @@ def grid_iou(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> floa
 
 def labels_at(grid: SemanticGrid, p_map: Array) -> Bytes:
     """(n,) the label of the cell that each point (n,2) of the map frame lies in; UNKNOWN outside."""
-    return cells_at(grid, grid.label, p_map, np.uint8(Cell.UNKNOWN))
+    return cells_at(grid.label, grid.origin, grid.resolution_m, p_map, np.uint8(Cell.UNKNOWN))
 
 
-def cells_at(grid: SemanticGrid, layer: NDArray[Any], p_map: Array, outside: Any) -> NDArray[Any]:
-    """(n,) the values of a layer (H,W) of the grid at the points (n,2) of the map frame."""
-    cells = np.floor((p_map - grid.origin) / grid.resolution_m).astype(np.int64)
+def cells_at(layer: NDArray[Any], corner: Array, cell_m: float, points: Array, outside: Any) -> NDArray[Any]:
+    """(n,) the values of a raster (H,W) with its lower left corner (2,) at points (n,2) of the same frame."""
+    cells = np.floor((points - corner) / cell_m).astype(np.int64)
     rows, cols = layer.shape
     inside = (cells >= 0).all(axis=1) & (cells[:, 0] < cols) & (cells[:, 1] < rows)
-    values = np.full(len(p_map), outside, layer.dtype)
+    values = np.full(len(points), outside, layer.dtype)
     values[inside] = layer[cells[inside, 1], cells[inside, 0]]
     return values
 

@@ -19,7 +19,7 @@ from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.se2 import between, chained, composed
 from mecp_env.core.sensors import Odometry
 from mecp_env.core.settings import Settings
-from mecp_env.evaluation.calibration import RANGE_SIGMA_M, UNIFORM, Calibration
+from mecp_env.evaluation.calibration import OF_SENSOR, RANGE_SIGMA_M, UNIFORM, Calibration
 from mecp_env.evaluation.trajectory import coincident, relation_error, trajectory_error
 from mecp_env.logs.log import Log
 from mecp_env.logs.odometry_model import arcs, end_of, reading
@@ -161,9 +161,14 @@ class LogRun:
             "ms_per_scan_median": 1e3 * float(np.median(self.step_s)),
             "ms_per_scan_mean": 1e3 * float(self.step_s.mean()),
         }
+        errors, smoothed = (self._errors(poses) for poses in (self.T_map_robot, self.T_final_robot))
+        smoothed.pop("dead_reckoning_ate_m", None)
+        final = {f"final_{name}": value for name, value in smoothed.items() if name.endswith(("_m", "_deg"))}
+        steps = 0 if self.final is None else self.final.steps
+        final |= {"final_converged": self.final is not None, "final_steps": steps, "final_s": self.final_s}
         said = {"counts": dict(self.counts), "notes": list(self.notes)}
         calibration = {} if self.calibration is None else {"calibration": self.calibration.as_dict()}
-        return found | self._against_reference() | self._relations() | self._of_final() | said | calibration
+        return found | errors | final | said | calibration
 
     @property
     def T_final_robot(self) -> Array:
@@ -176,15 +181,6 @@ class LogRun:
         if self.final is None:
             return self.output
         return replace(self.output, belief=self.final.belief, grid=self.final.grid)
-
-    def _of_final(self) -> dict[str, Any]:
-        """The errors of the smoothed path, as `final_` and the name of those of the online one."""
-        smoothed = replace(self, T_map_robot=self.T_final_robot)
-        errors = smoothed._against_reference() | smoothed._relations()
-        kept = {f"final_{name}": value for name, value in errors.items() if name.endswith(("_m", "_deg"))}
-        kept.pop("final_dead_reckoning_ate_m", None)
-        steps = 0 if self.final is None else self.final.steps
-        return kept | {"final_converged": self.final is not None, "final_steps": steps, "final_s": self.final_s}
 
     @property
     def dropped(self) -> int:
@@ -205,35 +201,32 @@ class LogRun:
         """The scans from the first on whose pose was known."""
         return slice(int(self.localised.argmax()), None)
 
-    def _against_reference(self) -> dict[str, float]:
-        """The error against the reference path, and that of dead reckoning."""
-        if self.T_ref_robot is None or not self.localised.any():
-            return {}
-        reference = self.T_ref_robot[self.scored]
-        slam = trajectory_error(self._framed(self.T_map_robot), reference)
-        dead = trajectory_error(self._framed(self.T_odom_robot), reference)
-        return {
-            "ate_m": slam.rmse_m,
-            "ate_worst_m": slam.worst_m,
-            "ate_deg": math.degrees(slam.rmse_rad),
-            "dead_reckoning_ate_m": dead.rmse_m,
-        }
+    def _errors(self, T_map_robot: Array) -> dict[str, float]:
+        """Those of poses (n,3) against the reference path and relations, as far as the log has these.
+
+        Of all relations, with interpolated poses, and of those that need no interpolation.
+        """
+        found = dict[str, float]()
+        if not self.localised.any():
+            return found
+        t, (slam, dead) = self.t[self.scored], (self._framed(poses) for poses in (T_map_robot, self.T_odom_robot))
+        if self.T_ref_robot is not None:
+            reference = self.T_ref_robot[self.scored]
+            ate = trajectory_error(slam, reference)
+            found |= {"ate_m": ate.rmse_m, "ate_worst_m": ate.worst_m, "ate_deg": math.degrees(ate.rmse_rad)}
+            found["dead_reckoning_ate_m"] = trajectory_error(dead, reference).rmse_m
+        both = {"relations": self.log.relations, "relations_at_scans": coincident(self.log.t, self.log.relations)}
+        for name, relations in both.items():
+            if len(relations):
+                error = relation_error(t, slam, relations)
+                found |= {name: error.relations, f"{name}_m": error.mean_m, f"{name}_sd_m": error.sd_m}
+                found |= {f"{name}_deg": math.degrees(error.mean_rad), f"{name}_sd_deg": math.degrees(error.sd_rad)}
+        return found
 
     def _framed(self, T_map_robot: Array) -> Array:
         """(m,3) of poses (n,3) those that are scored, of the frame that is scored."""
         poses = T_map_robot[self.scored]
         return composed(poses, np.broadcast_to(self.T_robot_frame, poses.shape))
-
-    def _relations(self) -> dict[str, float]:
-        """The error of the relations, with interpolated poses, and of those that need no interpolation."""
-        t, poses, found = self.t[self.scored], self._framed(self.T_map_robot), dict[str, float]()
-        both = {"relations": self.log.relations, "relations_at_scans": coincident(self.log.t, self.log.relations)}
-        for name, relations in both.items() if self.localised.any() else ():
-            if len(relations):
-                error = relation_error(t, poses, relations)
-                found |= {name: error.relations, f"{name}_m": error.mean_m, f"{name}_sd_m": error.sd_m}
-                found |= {f"{name}_deg": math.degrees(error.mean_rad), f"{name}_sd_deg": math.degrees(error.sd_rad)}
-        return found
 
 
 def sensor_of(log: Log, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -253,7 +246,10 @@ def config_for(log: Log, fields: Mapping[str, Any] | None = None, calibration: C
 
     `fields` of `SlamConfig` override both.
     """
-    fields, found = dict(fields or {}), {} if calibration is None else calibration.of_sensor
+    fields, found = (
+        dict(fields or {}),
+        {} if calibration is None else calibration.sensor.model_dump(include=set(OF_SENSOR)),
+    )
     return SlamConfig.parse(fields | {"sensor": sensor_of(log, found | dict(fields.get("sensor", {})))})
 
 
@@ -283,12 +279,10 @@ class LogDrive:
 
     def _path(self) -> Array:
         """(n,3) the poses that the odometry is made of."""
-        if self.config.odometry == "reference":
-            if self.log.T_ref_robot is None:
-                raise LogError(f"{self.log.name}: odometry: the log has no reference path to make it of")
-            return self.log.T_ref_robot
-        assert self.log.T_odom_robot is not None
-        return self.log.T_odom_robot
+        path = self.log.T_ref_robot if self.config.odometry == "reference" else self.log.T_odom_robot
+        if path is None:
+            raise LogError(f"{self.log.name}: odometry: the log has no reference path to make it of")
+        return path
 
     @property
     def _last(self) -> int:
@@ -359,31 +353,36 @@ class LogDrive:
         """The run so far. Raises `LogError` before the first scan."""
         if self.output is None:
             raise LogError(f"{self.log.name}: no scan was used ({self.ended})")
-        poses, localised, polygon, spent = zip(*self.outputs, strict=True)
-        reference = None if self.log.T_ref_robot is None else self.log.T_ref_robot[self.rows]
-        final, final_s, said = self._final()
+        poses, localised, polygon, spent = map(np.array, zip(*self.outputs, strict=True))
+        start = time.thread_time()
+        final, said = self._final()
         last = self._last if self.ended == "complete" else self.rows[-1] + 1
-        skipped = {"scans at rest, skipped": last - self.rows[0] - len(self.rows)}
+        resting = last - self.rows[0] - len(self.rows)
         return LogRun(
-            *(self.log, self.pipeline, self.output, self.ended, self.log.t[self.rows], np.array(poses), reference),
-            *(chained(np.array(self.measured)[1:]), np.array(localised), np.array(polygon), np.array(spent)),
-            *(
-                dict(self.log.counts) | {what: n for what, n in skipped.items() if n},
-                self.log.notes + self._unsure() + said,
-            ),
+            log=self.log,
+            pipeline=self.pipeline,
+            output=self.output,
+            ended=self.ended,
+            t=self.log.t[self.rows],
+            T_map_robot=poses,
+            T_ref_robot=None if self.log.T_ref_robot is None else self.log.T_ref_robot[self.rows],
+            T_odom_robot=chained(np.array(self.measured)[1:]),
+            localised=localised,
+            polygon=polygon,
+            step_s=spent,
+            counts=dict(self.log.counts) | ({AT_REST: resting} if resting else {}),
+            notes=self.log.notes + self._unsure() + said,
             calibration=self.calibration,
             final=final,
-            final_s=final_s,
+            final_s=time.thread_time() - start,
         )
 
-    def _final(self) -> tuple[FinalMap | None, float, tuple[str, ...]]:
-        """Path and map smoothed over all scans so far, the processor time of it, and what is said of it."""
-        start = time.thread_time()
+    def _final(self) -> tuple[FinalMap | None, tuple[str, ...]]:
+        """Path and map smoothed over all scans so far, and what is said of it."""
         try:
-            return self.trace.final(), time.thread_time() - start, ()
+            return self.trace.final(), ()
         except SmoothingError as error:
-            said = f"final trajectory: {error}; trajectory_final.tum is the online one"
-            return None, time.thread_time() - start, (said,)
+            return None, (f"final trajectory: {error}; trajectory_final.tum is the online one",)
 
 
 def run_log(

@@ -152,19 +152,6 @@ def score_scan(
 
 
 @compiled
-def count_duplicates(features: Ints, landmarks: Ints, corners: int) -> int:
-    """How many of the landmarks (N,) are of one of the true `corners` that another landmark is of already."""
-    taken = np.zeros(corners, np.bool_)
-    duplicates = 0
-    for i in range(landmarks.shape[0]):
-        corner = features[landmarks[i], 0]
-        if corner >= 0:
-            duplicates += taken[corner]
-            taken[corner] = True
-    return duplicates
-
-
-@compiled
 def room_middles(room: NDArray[np.int16], rooms: Ints) -> Array:
     """(n,2) column and row of the cell of each room (n,) farthest from all that is not of it, nan for none.
 

@@ -17,20 +17,17 @@ from mecp_env.evaluation.ground_truth import (
     DynamicObstacles,
     GroundTruth,
     MapQuality,
+    cells_at,
     correct_coverage,
     covers,
     door_error,
     doors_found,
     grid_iou,
-    landmark_errors,
     rooms_found,
 )
 from mecp_env.evaluation.metric_arrays import LostWatch
 from mecp_env.slam.messages import Belief
 from mecp_env.slam.output import SlamOutput
-
-__all__ = ["AssociationLog", "EpisodeMetrics", "GroundTruth"]
-
 
 NEVER = 2**40  # a step that never comes
 SWEEP_STEP_M = 0.4  # the visible area is computed again after this motion
@@ -67,7 +64,9 @@ class AssociationLog:
 
     def duplicates(self, landmarks: Ints) -> int:
         """How many of the landmarks (N,) are of a true corner that another landmark is of already."""
-        return int(metric_arrays.count_duplicates(self.features, landmarks, self.true_corners))
+        corners = self.features[landmarks, 0]
+        known = corners[corners >= 0].tolist()
+        return len(known) - len(set(known))
 
     def corners_of(self, landmarks: Ints) -> Ints:
         """(N,) the true corner that each of the landmarks (N,) is of, -1 for one that was never seen at any."""
@@ -175,12 +174,15 @@ class EpisodeMetrics:
 
         After the last step they hold: a mean until now would favour an episode that ends early with little.
         """
-        held = max(0, self.max_steps - self.steps) * self.seen_cells
-        free_m2 = truth.free_cells * metric_arrays.CELL_M**2
+        left, quality = max(0, self.max_steps - self.steps), self.quality
+        most_m = budget_m(truth.free_cells * metric_arrays.CELL_M**2)
+        seen = self.seen_over_steps + left * self.seen_cells
+        over_steps = quality.over_steps + left * quality.correct_coverage
+        over_metres = quality.over_metres + (most_m - quality.metres) * quality.correct_coverage
         return {
-            "coverage_over_steps": (self.seen_over_steps + held) / (self.max_steps * truth.free_cells),
-            "correct_coverage_over_steps": self.quality.mean_over_steps(self.steps, self.max_steps),
-            "correct_coverage_over_metres": self.quality.mean_over_metres(budget_m(free_m2)),
+            "coverage_over_steps": seen / (self.max_steps * truth.free_cells),
+            "correct_coverage_over_steps": over_steps / self.max_steps,
+            "correct_coverage_over_metres": over_metres / most_m,
         }
 
     def in_map(self, T_world_robot: Array) -> Array:
@@ -213,17 +215,19 @@ class EpisodeMetrics:
             return 0
         p_world = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))
         nameless = self.association.features[belief.ids, 0] < 0
-        return truth.count_cells(self.visited_by_obstacles, p_world[nameless])
+        cells = self.visited_by_obstacles
+        return int(cells_at(cells, truth.corner, metric_arrays.CELL_M, p_world[nameless], False).sum())
 
     def map_error(self, truth: GroundTruth, belief: Belief) -> tuple[float, int]:
         """RMSE (m) of the landmarks from their true corners, 0 without one, and how many are of no true corner.
 
-        Corners of boxes, which move, count for neither.
+        Corners of boxes, which move, count for neither. Measured in the map frame, which is where the robot believed to
+        start: nothing is fitted, so that a map that slides off counts.
         """
-        corner, still = self.association.corners_of(belief.ids), len(truth.outline.corners)
-        fixed = np.where(corner < still, corner, -1)
-        errors = landmark_errors(truth.outline.corners.p_world, belief, fixed, self.T_world_map)
-        rmse = math.sqrt(float(np.mean(errors[fixed >= 0] ** 2))) if (fixed >= 0).any() else 0.0
+        corner, true = self.association.corners_of(belief.ids), truth.outline.corners.p_world
+        fixed = (corner >= 0) & (corner < len(true))
+        away = to_map(self.T_world_map, np.ascontiguousarray(belief.p_map))[fixed] - true[corner[fixed]]
+        rmse = math.sqrt(float(np.mean(np.hypot(away[:, 0], away[:, 1]) ** 2))) if fixed.any() else 0.0
         return rmse, int((corner < 0).sum())
 
     def _compare_pose(self, belief: Belief) -> None:

@@ -41,7 +41,7 @@ AT_REST, STILL = 0.1, 1e-4  # of both: a motion of the laser, and a step of the 
 MOST_M, MOST_RAD = 3.0, math.radians(75.0)  # beyond, too little of a scan is seen again
 BLOCK, BLOCKS = 8, 32  # successive motions that are registered together, and how many such blocks
 PRIOR_M, PRIOR_RAD, GROWTH = 0.05, math.radians(3.0), 0.15  # sigmas of a prior at rest, and how they grow with a motion
-NAMES = ("distance_scale", "turn_scale", "turn_bias_rad_per_m", "x_m", "heading_rad")
+NAMES = ("distance_scale", "turn_scale", "turn_bias_deg_per_m", "x_m", "heading_deg")  # of values, which are in rad
 SHORT_M = 0.05  # a shorter motion has no direction
 NOTHING = np.array([1.0, 1.0, 0.0, 0.0, 0.0])  # of an odometry without errors, on a robot as it is described
 SPREAD = np.array([0.1, 0.1, 0.1, 0.3, 0.1])  # how far a robot is off, as in `NAMES`: a weak prior
@@ -145,7 +145,8 @@ def _registered(
     T_laser, found = between(T_robot_laser, composed(steps, T_robot_laser)), list[tuple[Array, Array, Array]]()
     for step, expected, past, now in zip(steps, T_laser, views[:-1], views[1:], strict=True):
         prior = expected, _prior(step)
-        one = register_all(past.surfaces, now.surfaces, past.beams, prior, limits) if _is_short(step) else None
+        is_short = math.hypot(*step[:2]) < MOST_M and abs(float(step[2])) < MOST_RAD
+        one = register_all(past.surfaces, now.surfaces, past.beams, prior, limits) if is_short else None
         if one is not None and one.is_sound(prior, limits) and _size(one.T_past_now[None])[0] > AT_REST:
             found.append((step, one.T_past_now, one.cov(single)))
     return found
@@ -174,10 +175,6 @@ def _blocks(rows: Ints) -> list[Ints]:
     firsts = np.arange(0, len(rows) - 1, BLOCK)
     spread = np.linspace(0, len(firsts) - 1, min(BLOCKS, len(firsts))).astype(np.int64)
     return [rows[first : first + BLOCK + 1] for first in firsts[spread]]
-
-
-def _is_short(step: Array) -> bool:
-    return math.hypot(*step[:2]) < MOST_M and abs(float(step[2])) < MOST_RAD
 
 
 def _prior(step: Array) -> Array:

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools
+from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import between, composed, interpolated, wrapped
 
 COINCIDENT_S = 1e-3  # a relation whose stamps differ by less from those of two poses needs no interpolation
@@ -55,32 +55,26 @@ def trajectory_error(T_map_robot: Array, T_ref_robot: Array) -> TrajectoryError:
     return TrajectoryError(_rms(off_m), float(off_m.max()), _rms(off_rad), len(off_m))
 
 
-def relation_errors(t: Array, T_map_robot: Array, relations: Array) -> tuple[Array, Bools]:
-    """(m,2) m, rad: translation and rotation error of the relations between the first and last stamp; which they are.
+def relation_error(t: Array, T_map_robot: Array, relations: Array) -> RelationError:
+    """The mean error of the relations between the first and last stamp.
 
     `t` (n,) s ascending, poses (n,3), `relations` (k,5) as in `Log`. Poses are interpolated.
     """
-    inside = ((relations[:, :2] >= t[0]) & (relations[:, :2] <= t[-1])).all(axis=1)
-    asked = relations[inside]
+    asked = relations[((relations[:, :2] >= t[0]) & (relations[:, :2] <= t[-1])).all(axis=1)]
+    if not len(asked):
+        return RelationError(math.nan, math.nan, math.nan, math.nan, 0)
     first, second = (interpolated(t, T_map_robot, asked[:, column]) for column in (0, 1))
     off = between(asked[:, 2:], between(first, second))
-    return np.column_stack((np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2]))), inside
-
-
-def relation_error(t: Array, T_map_robot: Array, relations: Array) -> RelationError:
-    """The mean error of the relations; `t` and the rest as in `relation_errors`."""
-    errors, _ = relation_errors(t, T_map_robot, relations)
-    if not len(errors):
-        return RelationError(math.nan, math.nan, math.nan, math.nan, 0)
+    errors = np.column_stack((np.hypot(off[:, 0], off[:, 1]), abs(off[:, 2])))
     (mean_m, mean_rad), (sd_m, sd_rad) = errors.mean(axis=0).tolist(), errors.std(axis=0).tolist()
     return RelationError(mean_m, mean_rad, sd_m, sd_rad, len(errors))
 
 
-def coincident(t: Array, relations: Array, within_s: float = COINCIDENT_S) -> Array:
+def coincident(t: Array, relations: Array) -> Array:
     """The relations (m,5) whose stamps are those of poses at t (n,)."""
     after = np.searchsorted(t, relations[:, :2]).clip(1, len(t) - 1)
     off = np.minimum(abs(t[after] - relations[:, :2]), abs(t[after - 1] - relations[:, :2]))
-    found: Array = relations[(off < within_s).all(axis=1)]
+    found: Array = relations[(off < COINCIDENT_S).all(axis=1)]
     return found
 
 

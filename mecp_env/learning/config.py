@@ -12,7 +12,7 @@ import tyro
 from pydantic import BeforeValidator, Field, create_model, field_validator, model_validator
 from tyro.constructors import PrimitiveConstructorSpec
 
-from mecp_env.config import EnvConfig, merge, refuse_unknown
+from mecp_env.config import EnvConfig, merge
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import read_json
 from mecp_env.core.settings import Settings, as_many, guess, shown
@@ -181,7 +181,6 @@ class TrainConfig(Settings):
         algorithm = check_algorithm(fields.get("algorithm", "maskable_ppo"))
         task = of_task(fields.get("task", ""))
         merged = merge(merge(DEFAULTS[algorithm], task), dict(fields))
-        refuse_unknown(cls, merged, cls.__name__)
         config = cls(**merged | {"algorithm": algorithm})
         check_batches(config)
         check_prior(config)

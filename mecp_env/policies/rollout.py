@@ -17,7 +17,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import budget_m
 from mecp_env.core.settings import shown
-from mecp_env.episode.observations import COV_MAX
+from mecp_env.episode.observation_arrays import COV_MAX
 from mecp_env.policies.registry import Policy, calls_of, ended, make_policy
 from mecp_env.policies.setting import Setting
 

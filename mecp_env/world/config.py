@@ -131,20 +131,10 @@ class OdometryConfig(PresetSettings):
         """The number of the reading."""
         return READINGS.index(self.reading)
 
-    @property
-    def turn_sigma_rad(self) -> float:
-        """`turn_sigma_deg` in rad."""
-        return math.radians(self.turn_sigma_deg)
-
     def sigmas(self, distance_m: float, turn_rad: float) -> Array:
         """(2,) m, rad: standard deviations of a motion of this path and turn, in the reading `per_metre`."""
         path = self.scale * math.sqrt(distance_m + self.turn_m * turn_rad / QUARTER_TURN)
-        return np.array([path * self.distance_sigma_m, path * self.turn_sigma_rad])
-
-    @property
-    def slip_turn_rad(self) -> float:
-        """`slip_turn_deg` in rad."""
-        return math.radians(self.slip_turn_deg)
+        return np.array([path * self.distance_sigma_m, path * math.radians(self.turn_sigma_deg)])
 
 
 class CrowdConfig(Settings):
@@ -232,11 +222,6 @@ class GeneratorSpec(Settings):
             raise ConfigError(f"difficulty: {shown(difficulty)} is not one of {known}{nearest}")
         return cls(**(DIFFICULTIES[difficulty] | fields))
 
-    def drawn_thickness_m(self, rng: np.random.Generator) -> float:
-        """A thickness of the walls, in whole millimetres where the range has one."""
-        low, high = self.wall_thickness_m
-        return min(max(round(float(rng.uniform(low, high)), 3), low), high)
-
     @model_validator(mode="after")
     def _fits(self) -> Self:
         plain = self.rooms - self.corridors
@@ -294,15 +279,10 @@ DIFFICULTIES: dict[str, dict[str, Any]] = {
 }
 
 
-def unknown_split(split: object) -> str:
-    """The message for an unknown split."""
-    return f"split: {shown(split)} is not one of {', '.join(SPLITS)}{guess(split, SPLITS)}"
-
-
 def split_seed(split: str, index: int) -> int:
     """The seed of building `index` of a split. Raises `ConfigError` for an unknown split or an index outside."""
     if not isinstance(split, str) or split not in SPLITS:
-        raise ConfigError(unknown_split(split))
+        raise ConfigError(f"split: {shown(split)} is not one of {', '.join(SPLITS)}{guess(split, SPLITS)}")
     if not 0 <= index < len(SPLITS[split]):
         raise ConfigError(f"index: {index}, split {split!r} has {len(SPLITS[split])} buildings")
     return SPLITS[split][index]

@@ -1,7 +1,6 @@
-"""Doors and rooms of a building: which way doors lead, which are closed in an episode, and figures of both.
+"""Doors and rooms of a building: which are closed in an episode, and figures of both.
 
-Where the layout file does not say which way a door leads, its wall and rooms do. Closed doors become wall, and what
-lies behind them is not part of the building.
+Closed doors become wall, and what lies behind them is not part of the building.
 """
 
 from __future__ import annotations
@@ -17,43 +16,12 @@ from shapely.geometry import Point, Polygon
 
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.world.config import ClutterConfig
-from mecp_env.world.outline import GAP_POST_M, Outline, build_outline, wall_lines
-from mecp_env.world.schema import DoorSpec, Layout, RoomSpec, Solid, Start
+from mecp_env.world.outline import GAP_POST_M, Outline, build_outline
+from mecp_env.world.schema import DoorSpec, Layout, Solid, Start
 
 START_M = 0.6  # a door closer to the start than this, beyond half its width, stays open
 LEAST_M2 = 0.05  # a room with a smaller reachable share is unreachable
 NARROW = 3.0  # smallest ratio of length to width of a corridor
-
-
-def with_directions(layout: Layout) -> Layout:
-    """The same layout; a cut without `direction_deg` gets the one that is square to its wall and leads to its rooms."""
-    if all(door.direction_deg is not None for door in layout.doors):
-        return layout
-    lines, thickness = wall_lines(layout)
-    tree = shapely.STRtree(lines)
-
-    def directed(door: DoorSpec) -> DoorSpec:
-        if door.direction_deg is not None:
-            return door
-        nearest = int(tree.nearest(Point(door.centre)))
-        (x0, y0), (x1, y1) = lines[nearest].coords
-        square = math.degrees(math.atan2(x0 - x1, y1 - y0))
-        step = thickness[nearest] / 2.0 + 0.05
-        both = (round(square + turn, 9) for turn in (0.0, 180.0, -180.0))
-        degrees = [deg + 0.0 for deg in both if -180.0 < deg <= 180.0]
-        return door.model_copy(
-            update={"direction_deg": max(degrees, key=lambda deg: _leads(door, deg, step, layout.rooms))}
-        )
-
-    return layout.model_copy(update={"doors": tuple(map(directed, layout.doors))})
-
-
-def _leads(door: DoorSpec, direction_deg: float, step_m: float, rooms: tuple[RoomSpec, ...]) -> int:
-    """How many of a point in front of the door and one behind it lie in the rooms that they should."""
-    floors = {room.name: Polygon(room.polygon) for room in rooms if room.name in door.rooms}
-    ahead = step_m * np.array([math.cos(math.radians(direction_deg)), math.sin(math.radians(direction_deg))])
-    points = dict(zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True))
-    return sum(name in floors and floors[name].contains(Point(point)) for name, point in points.items())
 
 
 def draw_closed(outline: Outline, start: Array, config: ClutterConfig, rng: np.random.Generator) -> Ints:
@@ -138,7 +106,7 @@ def building_figures(layout: Layout) -> BuildingFigures:
     return BuildingFigures(
         rooms=len(outline.rooms),
         doors=len(outline.doors),
-        loops=_loops(outline),
+        loops=len(outline.doors) - len(outline.rooms) + _joined(outline, np.ones(len(outline.doors), np.bool_))[0],
         floor_m2=float(outline.free_area.area),
         faces=len(outline.segments),
         corners=len(outline.corners),
@@ -147,13 +115,6 @@ def building_figures(layout: Layout) -> BuildingFigures:
         width_m=x1 - x0,
         height_m=y1 - y0,
     )
-
-
-def _loops(outline: Outline) -> int:
-    """Independent rings of the graph of rooms and doors."""
-    doors = len(outline.doors)
-    groups, _ = _joined(outline, np.ones(doors, np.bool_))
-    return doors - len(outline.rooms) + groups
 
 
 def _corridor_m(room: Polygon) -> float:

@@ -230,32 +230,27 @@ def in_reach(obstacles: MovingBodies, state: Array, limits: RobotLimits) -> bool
     return False
 
 
-@compiled
 def may_touch(obstacles: MovingBodies, state: Array, limits: RobotLimits, substeps: int) -> tuple[Bools, Bools]:
     """Which pedestrians (n,) and boxes (b,) may touch the robot, or a box that moves, within some substeps."""
-    pedestrians, boxes, box_discs = obstacles.pedestrians, obstacles.boxes, obstacles.box_discs
+    walkers, boxes, discs = obstacles.pedestrians, obstacles.boxes, obstacles.box_discs
     seconds, far = substeps * limits.dt, furthest(state, limits, substeps) + SPARE_M
-    pushed, found = np.zeros(boxes.shape[0], np.bool_), True
-    while found:
-        found = False
-        for j in range(boxes.shape[0]):
-            speed = math.hypot(boxes[j, 3], boxes[j, 4])
-            reach = box_discs[j, 2] + far + speed * seconds
-            near = math.hypot(box_discs[j, 0] - state[0], box_discs[j, 1] - state[1]) < reach + limits.radius
-            near = near or speed > 0.0 or boxes[j, 5] != 0.0
-            for k in range(boxes.shape[0]):
-                apart = math.hypot(box_discs[j, 0] - box_discs[k, 0], box_discs[j, 1] - box_discs[k, 1])
-                near = near or (pushed[k] and apart < reach + box_discs[k, 2])
-            found = found or (near and not pushed[j])
-            pushed[j] = pushed[j] or near
-    met = np.zeros(pedestrians.shape[0], np.bool_)
-    for i in range(pedestrians.shape[0]):
-        reach = pedestrians[i, RADIUS] + pedestrians[i, PACE] * seconds + far
-        met[i] = math.hypot(pedestrians[i, X] - state[0], pedestrians[i, Y] - state[1]) < reach + limits.radius
-        for j in range(boxes.shape[0]):
-            apart = math.hypot(pedestrians[i, X] - box_discs[j, 0], pedestrians[i, Y] - box_discs[j, 1])
-            met[i] = met[i] or (pushed[j] and apart < reach + box_discs[j, 2])
+    robot = np.array([*state[:2], limits.radius])
+    speed = np.hypot(boxes[:, 3], boxes[:, 4])
+    reach = discs[:, 2] + far + speed * seconds
+    pushed = _within(boxes[:, :2], reach, robot[None])[:, 0] | (speed > 0.0) | (boxes[:, 5] != 0.0)
+    beside = _within(boxes[:, :2], reach, discs)
+    for _ in boxes:  # each may push another one
+        pushed |= beside[:, pushed].any(axis=1)
+    reach = walkers[:, RADIUS] + walkers[:, PACE] * seconds + far
+    met: Bools = np.logical_or.reduce(_within(walkers[:, [X, Y]], reach, np.vstack([robot, discs[pushed]])), axis=1)
     return met, pushed
+
+
+def _within(places: Array, reach: Array, discs: Array) -> Bools:
+    """(n,m) which discs (m,3) are within reach (n,) of places (n,2)."""
+    apart = np.hypot(*(places[:, None] - discs[:, :2]).transpose(2, 0, 1))
+    near: Bools = apart < reach[:, None] + discs[:, 2]
+    return near
 
 
 @compiled
@@ -310,9 +305,8 @@ def _leave_face(face: Array, box: Array, size: Array) -> None:
 
 
 @compiled
-def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> bool:
-    """Pushes the robot's position out of boxes nearer than `radius`; returns whether there was none."""
-    free = True
+def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> None:
+    """Push the robot's position out of boxes nearer than `radius`."""
     for i in range(boxes.shape[0]):
         c, s = math.cos(boxes[i, 2]), math.sin(boxes[i, 2])
         dx, dy = state[0] - boxes[i, 0], state[1] - boxes[i, 1]
@@ -325,5 +319,3 @@ def leave_boxes(boxes: Array, sizes: Array, state: Array, radius: float) -> bool
             push = radius / distance - 1.0
             state[0] += push * (c * off_along - s * off_aside)
             state[1] += push * (s * off_along + c * off_aside)
-            free = False
-    return free

@@ -8,7 +8,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from itertools import chain, pairwise
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,13 +24,6 @@ DOOR_CLEAR_M = 1.1  # between a piece and the middle of a door
 PLACES = 32  # candidate places of a piece in a room
 ROUNDS = 3  # attempts to put the remaining pieces into any room
 LEAST_SHARE = 0.85  # of the pieces that are asked for
-
-
-class Placed(NamedTuple):
-    """A piece of furniture by circles that cover it, and as the layout has it."""
-
-    circles: Array  # (k,3) x, y, radius, m
-    obstacle: dict[str, Any]
 
 
 class Places(NamedTuple):
@@ -52,8 +45,8 @@ class Places(NamedTuple):
 
 def furnish(
     spaces: list[Space], doors: list[Opening], thickness: float, spec: GeneratorSpec, rng: np.random.Generator
-) -> list[Placed]:
-    """The furniture of all rooms but the corridors, as many pieces as the specification says. Raises `Rejected`.
+) -> list[Room]:
+    """All rooms but the corridors, with as many pieces of furniture as the specification says. Raises `Rejected`.
 
     Each room has its share; what does not fit there is put into another one.
     """
@@ -61,16 +54,16 @@ def furnish(
     areas = np.array([ring_area(room.ring.tolist()) for room in rooms])
     wanted = spec.furniture * float(areas.sum()) / 10.0
     if wanted == 0.0:
-        return []
+        return rooms
     shares = zip(rooms, _counts(areas, round(wanted), rng), strict=True)
     left: list[str] = []
     for room, count in shares:
         left += [kind for kind in rng.choice(spec.pieces, count).tolist() if not room.put(kind, rng)]
     _elsewhere(left, rooms, spec, rng)
-    placed = list(chain.from_iterable(room.pieces for room in rooms))
-    if len(placed) < min(round(wanted), LEAST_SHARE * wanted):
-        raise Rejected("furniture", spec.furniture * len(placed) / wanted)
-    return placed
+    placed = sum(len(room.pieces) for room in rooms)
+    if placed < min(round(wanted), LEAST_SHARE * wanted):
+        raise Rejected("furniture", spec.furniture * placed / wanted)
+    return rooms
 
 
 def _counts(areas: Array, total: int, rng: np.random.Generator) -> list[int]:
@@ -95,8 +88,8 @@ class Room:
     ring: Array  # (n,2) m
     doors: Array  # (d,2) m, their middles
     thickness: float  # m, of the walls
-    circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # of all pieces
-    pieces: list[Placed] = field(default_factory=list)
+    circles: Array = field(default_factory=lambda: np.empty((0, 3)))  # x, y, radius, m: around all pieces
+    pieces: list[dict[str, Any]] = field(default_factory=list)  # as the layout has them
 
     def put(self, kind: str, rng: np.random.Generator) -> bool:
         """Place a piece where it blocks no passage; False where no such place was found."""
@@ -106,10 +99,9 @@ class Room:
         if not len(fits):
             return False
         first = int(fits[0])
-        centres = places.centres[first]
-        piece = Placed(np.column_stack([centres, np.full(len(centres), places.radius)]), places.obstacle(first))
-        self.pieces.append(piece)
-        self.circles = np.concatenate([self.circles, piece.circles])
+        circles = np.pad(places.centres[first], ((0, 0), (0, 1)), constant_values=places.radius)
+        self.pieces.append(places.obstacle(first))
+        self.circles = np.concatenate([self.circles, circles])
         return True
 
 
@@ -131,16 +123,11 @@ def inside(ring: Array, points: Array) -> Bools:
 
 def edge_distances(ring: Array, points: Array) -> Array:
     """Distances (...,n) m of points (...,2) from each edge of a ring (n,2)."""
-    (x0, y0), (dx, dy) = ring.T, (following(ring) - ring).T
+    (x0, y0), (dx, dy) = ring.T, (np.roll(ring, -1, axis=0) - ring).T
     x, y = points[..., :1] - x0, points[..., 1:] - y0
     share = np.minimum(np.maximum((x * dx + y * dy) / (dx * dx + dy * dy), 0.0), 1.0)
     far: Array = np.hypot(x - share * dx, y - share * dy)
     return far
-
-
-def following(ring: Array) -> Array:
-    """For each corner (n,2) of a ring the next one."""
-    return np.concatenate([ring[1:], ring[:1]])
 
 
 def _is_off_walls(places: Places, room: Room) -> Bools:
@@ -186,10 +173,10 @@ def _shelf(ring: Array, thickness: float, rng: np.random.Generator) -> Places:
     """A shelf with its back to a wall of the room."""
     length, depth = (round(float(size), 3) for size in (rng.uniform(0.8, 2.0), rng.uniform(0.3, 0.5)))
     wall = rng.integers(len(ring), size=PLACES)
-    ahead = (following(ring) - ring)[wall]
+    ahead = (np.roll(ring, -1, axis=0) - ring)[wall]
     ahead /= np.hypot(ahead[:, :1], ahead[:, 1:])
     share = rng.uniform(0.0, 1.0, (PLACES, 1))
-    centres = ring[wall] * (1.0 - share) + following(ring)[wall] * share
+    centres = ring[wall] * (1.0 - share) + np.roll(ring, -1, axis=0)[wall] * share
     centres += (depth + thickness) / 2.0 * np.column_stack([-ahead[:, 1], ahead[:, 0]])
     offsets, radius = _cover((length, depth), 0.0)
     circles = centres[:, None] + offsets[:, :1] * ahead[:, None]

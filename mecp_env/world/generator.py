@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from itertools import islice
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -17,7 +17,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.settings import shown
 from mecp_env.world.config import GeneratorSpec, Rejected
-from mecp_env.world.furniture import Placed, edge_distances, furnish, inside
+from mecp_env.world.furniture import Room, edge_distances, furnish, inside
 from mecp_env.world.partition import (
     Line,
     Opening,
@@ -49,25 +49,20 @@ def generate(spec: GeneratorSpec | dict[str, Any] | None = None, seed: int = 0) 
     corners of a room but the posts of a door are nearer to each other than 0.25 m. Raises `ConfigError` for a wrong
     field or seed, and for a specification that no building fulfils.
     """
-    spec, seed = GeneratorSpec.parse(spec), _checked(seed)
+    spec = GeneratorSpec.parse(spec)
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= MOST_SEED:
+        raise ConfigError(f"seed: a whole number from 0 to 2**128 - 1 expected (given: {shown(seed)})")
     spec.require_doors()
     rng = np.random.default_rng(seed)
     rejected: list[Rejected] = []
     while len(rejected) < ATTEMPTS and sum(why.field == "furniture" for why in rejected) < FURNISHED:
         try:
-            return _attempt(spec, seed, rng)
+            return _attempt(spec, int(seed), rng)
         except Rejected as why:
             rejected.append(why)
         except LayoutError as error:
             raise ConfigError(f"rooms, furniture: more than a layout may hold ({error})") from None
     raise ConfigError(_impossible(spec, rejected))
-
-
-def _checked(seed: Any) -> int:
-    """`seed` if it is one. Raises `ConfigError`."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or not 0 <= seed <= MOST_SEED:
-        raise ConfigError(f"seed: a whole number from 0 to 2**128 - 1 expected (given: {shown(seed)})")
-    return int(seed)
 
 
 def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
@@ -88,14 +83,15 @@ def _impossible(spec: GeneratorSpec, rejected: list[Rejected]) -> str:
 def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout:
     """One try. Raises `Rejected` when rooms do not fit into the plot, doors not between them, or furniture not in."""
     spaces = partition(spec, rng)
-    thickness = spec.drawn_thickness_m(rng)
+    low, high = spec.wall_thickness_m
+    thickness = min(max(round(float(rng.uniform(low, high)), 3), low), high)  # whole millimetres, if the range has one
     slants = _cut_corners(spaces, spec, rng)
     if len(slants) < spec.slanted_corners:
         raise Rejected("slanted_corners", len(slants))
     lines = borders(spaces)
     doors = plan_doors(spaces, shared_stretches(lines), thickness, spec, rng)
-    furniture = furnish(spaces, doors, thickness, spec, rng)
-    starts = _starts(spaces, furniture, rng)
+    furnished = furnish(spaces, doors, thickness, spec, rng)
+    starts = _starts(spaces, furnished, rng)
     if not starts:
         raise Rejected("furniture")
     turned, names = _Turned(math.radians(rng.uniform(*spec.turned_deg))), _names(spaces)
@@ -104,7 +100,7 @@ def _attempt(spec: GeneratorSpec, seed: int, rng: np.random.Generator) -> Layout
         walls=[{"points": turned.line(w), "thickness_m": thickness} for w in joined(wall_lines(lines), slants)],
         rooms=[{"name": n, "polygon": turned.line(s.ring)} for n, s in zip(names, spaces, strict=True)],
         doors=[turned.door(door, names) for door in doors],
-        obstacles=[turned.piece(piece.obstacle) for piece in furniture],
+        obstacles=turned.furniture(furnished),
         starts=[{"point": turned.point(p), "heading_deg": turned.heading(heading)} for p, heading in starts],
     )
 
@@ -131,9 +127,9 @@ def _cut(ring: list[Point], corner: Point, rng: np.random.Generator) -> tuple[Po
     return ends[0], ends[1]
 
 
-def _starts(spaces: list[Space], furniture: list[Placed], rng: np.random.Generator) -> list[tuple[Point, float]]:
+def _starts(spaces: list[Space], rooms: list[Room], rng: np.random.Generator) -> list[tuple[Point, float]]:
     """A start in each of a few rooms in random order: point and heading in degrees."""
-    circles = np.concatenate([piece.circles for piece in furniture] or [np.empty((0, 3))])
+    circles = np.concatenate([room.circles for room in rooms])
     order = rng.permutation(len(spaces)).tolist()
     points = (_free_point(np.array(spaces[index].ring), circles, rng) for index in order)
     found = [point for point in islice(points, 2 * MOST_STARTS) if point is not None]
@@ -168,6 +164,9 @@ class _Turned:
         rooms, heading = (names[door.rooms[0]], names[door.rooms[1]]), self.heading(math.degrees(door.heading))
         return {"centre": self.point(door.centre), "width_m": door.width, "rooms": rooms, "direction_deg": heading}
 
+    def furniture(self, rooms: list[Room]) -> list[dict[str, Any]]:
+        return [self.piece(piece) for room in rooms for piece in room.pieces]
+
     def piece(self, piece: dict[str, Any]) -> dict[str, Any]:
         turn = {"turn_deg": self.heading(piece["turn_deg"])} if "turn_deg" in piece else {}
         return piece | {"centre": self.point(piece["centre"])} | turn
@@ -175,8 +174,5 @@ class _Turned:
 
 def _names(spaces: list[Space]) -> list[str]:
     """room 1, room 2, ..., corridor 1, ..."""
-    names, count = [], {True: 0, False: 0}
-    for space in spaces:
-        count[space.corridor] += 1
-        names.append(f"{'corridor' if space.corridor else 'room'} {count[space.corridor]}")
-    return names
+    rooms, corridors = count(1), count(1)
+    return [f"corridor {next(corridors)}" if space.corridor else f"room {next(rooms)}" for space in spaces]

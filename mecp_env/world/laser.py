@@ -50,7 +50,8 @@ class Laser:
         self._whole_words = sys.byteorder == "little" and self._rows * rays % 4 == 0  # they fill words of 64 bits
         least_cosine = math.cos(math.radians(config.grazing_deg))
         self._optics = np.array([*noise, config.max_range_m, float(config.sweeps), view, least_cosine])
-        self._dropout = self._dropouts(config, dark_seed)
+        dark = np.random.default_rng(dark_seed).random(len(self._segments)) < config.dark_share
+        self._dropout = np.where(dark, config.dark_dropout, 0.0) if config.loses_beams else np.empty(0)  # share by face
         self._T_robot_laser = config.T_robot_laser
 
     def scan(self, T_world_robot: Array, rng: np.random.Generator, faces: Array | None = None) -> Scan:
@@ -79,13 +80,6 @@ class Laser:
             words: NDArray[np.uint64] = bits.random_raw(shape[0] * shape[1] // 4)
             return words.view(np.uint16).reshape(shape)
         return rng.integers(QUANTILES, size=shape, dtype=np.uint16)
-
-    def _dropouts(self, config: LaserConfig, dark_seed: int) -> Array:
-        """(S,) the share of the beams that each face swallows; (0,) for a laser that loses none."""
-        if not config.loses_beams:
-            return np.empty(0)
-        dark = np.random.default_rng(dark_seed).random(len(self._segments)) < config.dark_share
-        return np.where(dark, config.dark_dropout, 0.0)
 
 
 @cache

@@ -24,7 +24,6 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LayoutError
 from mecp_env.core.files import exists, read_bytes, text_of
 from mecp_env.core.settings import MOST_TOLD, guess
-from mecp_env.world.doors import with_directions
 from mecp_env.world.outline import (
     GAP_POST_M,
     ROBOT_RADIUS_M,
@@ -199,11 +198,34 @@ def _close_pairs(shapes: NDArray[np.object_], most: int, field: str, near_m: flo
     return i, j
 
 
+def with_directions(layout: Layout) -> Layout:
+    """The same layout; a cut without `direction_deg` gets the one that is square to its wall and leads to its rooms."""
+    if all(door.direction_deg is not None for door in layout.doors):
+        return layout
+    lines, thickness = wall_lines(layout)
+    tree, floors = shapely.STRtree(lines), _floors(layout)
+
+    def directed(door: DoorSpec) -> DoorSpec:
+        if door.direction_deg is not None:
+            return door
+        nearest = int(tree.nearest(Point(door.centre)))
+        (x0, y0), (x1, y1) = lines[nearest].coords
+        square = math.degrees(math.atan2(x0 - x1, y1 - y0))
+        both = (round(square + turn, 9) for turn in (0.0, 180.0, -180.0))
+        ways = [door.model_copy(update={"direction_deg": deg + 0.0}) for deg in both if -180.0 < deg <= 180.0]
+        return min(ways, key=lambda way: len(list(_not_between(floors, way, thickness[nearest], ""))))
+
+    return layout.model_copy(update={"doors": tuple(map(directed, layout.doors))})
+
+
+def _floors(layout: Layout) -> dict[str, Polygon]:
+    return {room.name: Polygon(room.polygon) for room in layout.rooms}
+
+
 def _wrong_doors(layout: Layout) -> Iterator[str]:
     """Doors join two rooms; one that is cut is in a wall. The first fault of each."""
     lines, thickness = wall_lines(layout)
-    tree = shapely.STRtree(lines)
-    floors = {room.name: Polygon(room.polygon) for room in layout.rooms}
+    tree, floors = shapely.STRtree(lines), _floors(layout)
     for i, door in enumerate(layout.doors):
         yield from islice(_wrong_door(door, f"doors.{i}", floors, (tree, lines, thickness)), 1)
 
@@ -241,7 +263,7 @@ def _not_between(floors: Mapping[str, Polygon], door: DoorSpec, thickness: float
     step = thickness / 2.0 + 0.05
     ahead = step * np.array([math.cos(door.heading), math.sin(door.heading)])
     for name, point in zip(door.rooms, (door.centre - ahead, door.centre + ahead), strict=True):
-        if not floors[name].contains(Point(point)):
+        if name not in floors or not floors[name].contains(Point(point)):
             beside = f"{point.round(2).tolist()} beside it lies outside of {name!r}"
             yield f"{field}.centre: {door.centre} is not between its rooms, {beside}"
 

@@ -12,7 +12,6 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
-from mecp_env.core.jit import compiled
 from mecp_env.world import pedestrians
 from mecp_env.world.config import ClutterConfig, CrowdConfig, RobotConfig
 from mecp_env.world.outline import Outline
@@ -29,6 +28,8 @@ STEP_M = 0.3  # along a route, to determine its direction
 TRIES = 60
 BOX = 6  # place, turn, and their velocities
 SIDES = 16  # of the polygon that represents a pedestrian for the laser
+ANGLES = [-k * (2.0 * math.pi / SIDES) for k in range(SIDES + 1)]
+RIM = np.array([(math.cos(angle), math.sin(angle)) for angle in ANGLES])  # clockwise, the first point twice
 BOX_CORNERS = np.array([(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)])  # of a unit box, counter-clockwise
 DISC = np.array([pedestrians.X, pedestrians.Y, pedestrians.RADIUS])
 
@@ -227,42 +228,21 @@ def robot_row(T_world_robot: Array, velocity: Array, robot: RobotConfig) -> Arra
     return row
 
 
-@compiled
 def moving_faces(discs: Array, boxes: Array, sizes: Array) -> Array:
     """Faces (m,2,2) of discs (n,3), as polygons of 16 sides, and of boxes (b,>=3) of sizes (b,2); free to the left.
 
     Discs: place, radius; boxes: place, turn.
     """
-    faces = np.empty((SIDES * discs.shape[0] + 4 * boxes.shape[0], 2, 2))
-    rim = np.empty((SIDES + 1, 2))
-    for k in range(SIDES + 1):
-        angle = -k * (2.0 * math.pi / SIDES)
-        rim[k, 0], rim[k, 1] = math.cos(angle), math.sin(angle)
-    n = 0
-    for i in range(discs.shape[0]):
-        for k in range(SIDES):
-            for end in range(2):
-                faces[n, end, 0] = discs[i, 0] + discs[i, 2] * rim[k + end, 0]
-                faces[n, end, 1] = discs[i, 1] + discs[i, 2] * rim[k + end, 1]
-            n += 1
-    corners = box_corners(boxes, sizes)
-    for i in range(boxes.shape[0]):
-        for k in range(4):
-            for end in range(2):
-                corner = 4 * i + (8 - k - end) % 4
-                faces[n, end, 0], faces[n, end, 1] = corners[corner, 0], corners[corner, 1]
-            n += 1
-    return faces
+    rims = discs[:, None, :2] + discs[:, 2:, None] * RIM
+    corners = box_corners(boxes, sizes).reshape(-1, 4, 2)[:, [0, 3, 2, 1, 0]]
+    faces = [np.stack([ring[:, :-1], ring[:, 1:]], axis=2).reshape(-1, 2, 2) for ring in (rims, corners)]
+    return np.concatenate(faces)
 
 
-@compiled
 def box_corners(boxes: Array, sizes: Array) -> Array:
     """(4b,2) m: the corners of boxes (b,>=3) of sizes (b,2), counter-clockwise."""
-    corners = np.empty((4 * boxes.shape[0], 2))
-    for i in range(boxes.shape[0]):
-        c, s = math.cos(boxes[i, 2]), math.sin(boxes[i, 2])
-        for k in range(4):
-            along, aside = BOX_CORNERS[k, 0] * sizes[i, 0], BOX_CORNERS[k, 1] * sizes[i, 1]
-            corners[4 * i + k, 0] = boxes[i, 0] + c * along - s * aside
-            corners[4 * i + k, 1] = boxes[i, 1] + s * along + c * aside
-    return corners
+    turned = np.array([(math.cos(turn), math.sin(turn)) for turn in boxes[:, 2].tolist()]).reshape(-1, 2, 1)
+    c, s = turned[:, 0], turned[:, 1]
+    along, aside = (BOX_CORNERS[:, axis] * sizes[:, axis, None] for axis in (0, 1))
+    x, y = boxes[:, :1] + c * along - s * aside, boxes[:, 1:2] + s * along + c * aside
+    return np.stack([x, y], axis=2).reshape(-1, 2)

@@ -32,7 +32,11 @@ def measure(motion: Motion, config: OdometryConfig, rng: np.random.Generator) ->
 
 def slip(odometry: Odometry, config: OdometryConfig, rng: np.random.Generator) -> Odometry:
     """What wheels measure that slip with a probability: they turn farther than the robot moves, and it turns aside."""
-    drawn, farther, aside = rng.random(), rng.uniform(1.0, config.slip_most), rng.normal(0.0, config.slip_turn_rad)
+    drawn, farther, aside = (
+        rng.random(),
+        rng.uniform(1.0, config.slip_most),
+        rng.normal(0.0, math.radians(config.slip_turn_deg)),
+    )
     if drawn >= config.slip_share or not odometry.increments.any():  # a robot at rest does not slip
         return odometry
     increments = odometry.increments * [farther, 1.0]

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from shapely.geometry import LineString, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
@@ -41,10 +39,7 @@ class TrueCorners:
     p_world: Array  # (n,2) m
     convex: Bools  # (n,) the solid fills less than 180 degrees
     faces: Array  # (n,2) m, lengths of the faces before and after
-    jamb: Bools  # (n,) jamb of a door
     normals: Array  # (n,2) rad, of the faces before and after, towards free space
-    room: Ints  # (n,) index of the room it is seen from, or -1
-    door: Ints  # (n,) index of the door whose jamb it is, or -1
 
     def __len__(self) -> int:
         return len(self.p_world)
@@ -105,15 +100,14 @@ def build_outline(layout: Layout) -> Outline:
     free_area = _free_area(layout, doors)
     segments, before = _faces(free_area)
     is_round = _round_faces(layout, segments)
-    rooms = tuple(Polygon(room.polygon) for room in layout.rooms)
     return Outline(
         name=layout.name,
         segments=segments,
         round=is_round,
-        corners=_corners(segments, before, is_round, doors, rooms),
+        corners=_corners(segments, before, is_round),
         doors=doors,
         free_area=free_area,
-        rooms=rooms,
+        rooms=tuple(Polygon(room.polygon) for room in layout.rooms),
         room_names=tuple(room.name for room in layout.rooms),
         starts=np.array([[*s.point, wrap_angle(math.radians(s.heading_deg))] for s in layout.starts]),
     )
@@ -270,50 +264,14 @@ def _round_faces(layout: Layout, segments: Array) -> Bools:
     return is_round
 
 
-def _corners(segments: Array, before: Ints, is_round: Bools, doors: Doors, rooms: tuple[Polygon, ...]) -> TrueCorners:
+def _corners(segments: Array, before: Ints, is_round: Bools) -> TrueCorners:
     """A corner at the start of every face that follows a straight face."""
     chosen = np.flatnonzero(~(is_round | is_round[before]))
     first, second = segments[before[chosen]], segments[chosen]
     u, v = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
-    p_world = np.ascontiguousarray(second[:, 0])
-    normals = np.column_stack([np.arctan2(u[:, 0], -u[:, 1]), np.arctan2(v[:, 0], -v[:, 1])])
-    towards_free = np.column_stack([np.cos(normals).sum(axis=1), np.sin(normals).sum(axis=1)])
-    convex = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0
-    door = _door_of(p_world, convex, doors)
     return TrueCorners(
-        p_world=p_world,
-        convex=convex,
+        p_world=np.ascontiguousarray(second[:, 0]),
+        convex=u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0] < 0.0,
         faces=np.column_stack([np.hypot(*u.T), np.hypot(*v.T)]),
-        jamb=door >= 0,
-        normals=normals,
-        room=_nearest_room(p_world + 0.005 * towards_free, rooms),
-        door=door,
+        normals=np.column_stack([np.arctan2(u[:, 0], -u[:, 1]), np.arctan2(v[:, 0], -v[:, 1])]),
     )
-
-
-def _door_of(p_world: Array, convex: Bools, doors: Doors) -> Ints:
-    """Index (n,) of the door that has a post at each point, or -1.
-
-    The posts of a gap are the convex corners nearest to its own four: what was drawn or measured is not quite square.
-    """
-    door = np.full(len(p_world), -1, dtype=np.int64)
-    reach = 0.5 * np.hypot(doors.width, doors.thickness) + 1.01 * GAP_POST_M
-    around: Any = cKDTree(p_world).query_ball_point(doors.centre, reach) if len(p_world) and len(doors) else []
-    for index, near in enumerate(map(sorted, around)):
-        far = np.linalg.norm(p_world[near][:, None] - door_ring(doors, index, 0.0)[None], axis=2)
-        if doors.gap[index]:
-            far[~convex[near]] = np.inf
-            far[far > far.min(axis=0, initial=GAP_POST_M)] = np.inf
-        posts = np.any(far < (GAP_POST_M if doors.gap[index] else SAME_M), axis=1)
-        door[np.array(near, np.int64)[posts]] = index
-    return door
-
-
-def _nearest_room(p_world: Array, rooms: tuple[Polygon, ...]) -> Ints:
-    """Index (n,) of the room nearest to each point, or -1 where none lies within 0.3 m."""
-    tree, points = shapely.STRtree(rooms), shapely.points(p_world)
-    point, room = tree.query_nearest(points, max_distance=0.3)
-    nearest = np.full(len(p_world), len(rooms), dtype=np.int64)
-    np.minimum.at(nearest, point, room)
-    nearest[nearest == len(rooms)] = -1
-    return nearest

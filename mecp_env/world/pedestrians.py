@@ -85,7 +85,6 @@ X, Y, VX, VY, RADIUS, PACE, PAUSE, STUCK, FROM_X, FROM_Y, MOVES = range(11)
 PEDESTRIAN = 11
 WALKS, ARRIVED, IS_STUCK = 0, 1, 2  # state of a pedestrian
 # The robot (6,): place, velocity, radius, deceleration
-ROBOT = 6
 
 POLITE_M = 0.3  # distance that a polite pedestrian keeps from the robot and its stopping point
 PRESS_M = 0.04  # others walk on until they overlap the robot by this

@@ -13,14 +13,12 @@ from here: it follows from the velocities (drive.py).
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
 import pymunk
 
 from mecp_env.core.carriers import Array, carrier
-from mecp_env.core.errors import ActionError, MecpError
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import (
@@ -29,7 +27,6 @@ from mecp_env.world.drive import (
     COURSE,
     FELT_X,
     SPEED,
-    TOUCH_M,
     TURN,
     MovingBodies,
     RobotLimits,
@@ -38,7 +35,6 @@ from mecp_env.world.drive import (
     furthest,
     may_touch,
     slide_boxes,
-    wall_distance,
 )
 from mecp_env.world.moving_obstacles import Movers, no_movers, robot_row
 from mecp_env.world.outline import Outline
@@ -150,23 +146,13 @@ class Simulation:
         return pose
 
     def reset(self, T_world_robot: Array) -> None:
-        """Puts the robot at rest at a pose (3,). Raises MecpError for one that is not finite or reaches into a wall."""
-        pose = np.array(T_world_robot, dtype=np.float64)
-        if pose.shape != (3,) or not np.isfinite(pose).all():
-            raise MecpError(f"T_world_robot: expected three finite numbers, given {T_world_robot!r}")
-        room = wall_distance(self._segments, pose[0], pose[1])
-        if room < self.config.radius_m - TOUCH_M:
-            raise MecpError(f"T_world_robot: {pose} is {room:.3f} m from a wall, at least {self.config.radius_m} m")
-        self._state = np.concatenate([pose, np.zeros(3)])
+        """Puts the robot at rest at a pose (3,), which is off the walls (`check_start`)."""
+        self._state = np.concatenate([T_world_robot, np.zeros(3)])
 
     def step(self, v: float, w: float) -> Motion:
-        """Drives one step with the commanded speed v (m/s) and turn rate w (rad/s), limited to what the robot can do.
-
-        Raises ActionError for a command that is not finite; the robot is then where it was.
-        """
-        if not (math.isfinite(v) and math.isfinite(w)):
-            raise ActionError(f"command: v={v!r}, w={w!r}, expected finite numbers")
-        self._course[SPEED], self._course[TURN] = self._within_limits(v, w)
+        """Drives one step with the commanded speed v (m/s) and turn rate w (rad/s), at most what the robot can do."""
+        v_max, w_max = self.config.max_speed_m_s, self.config.max_turn_rad_s
+        self._course[SPEED], self._course[TURN] = min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)
         self._movers.decide(self._segments, self._state[:3], self._state[3:])
         increments, moving = np.empty((self.config.arcs, 2)), self._moving
         robot = self._segments, self._state, tuple(self._limits), self._course, increments, tuple(moving)
@@ -190,12 +176,5 @@ class Simulation:
         return {"body": self._state.copy()}
 
     def set_state(self, state: dict[str, Any]) -> None:
-        """Continues bit for bit from what `get_state` gave. Raises MecpError for anything else."""
-        body = np.array(state.get("body", ()), dtype=np.float64)
-        if body.shape != (6,) or not np.isfinite(body).all():
-            raise MecpError(f"body: expected six finite numbers, given {body!r}")
-        self._state = body
-
-    def _within_limits(self, v: float, w: float) -> tuple[float, float]:
-        v_max, w_max = self.config.max_speed_m_s, self.config.max_turn_rad_s
-        return min(max(v, -v_max), v_max), min(max(w, -w_max), w_max)
+        """Continues bit for bit from what `get_state` gave."""
+        self._state = np.array(state["body"], np.float64)

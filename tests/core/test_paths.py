@@ -1,32 +1,10 @@
-"""Files are written whole; what killed writes left is removed, and nothing else."""
+"""Files of any name are written, and text in any encoding read."""
 
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-from mecp_env.core.files import DAY_S, machine, text_of, write_atomic
-
-
-def test_a_killed_write_leaves_nothing_after_the_next_start(tmp_path: Path) -> None:
-    ended = subprocess.Popen([sys.executable, "-c", "pass"])
-    ended.wait()
-    left = tmp_path / f".a.json.{machine()}-{ended.pid}.tmp"
-    running = tmp_path / f".a.json.{machine()}-{os.getppid()}.tmp"
-    elsewhere = tmp_path / ".a.json.00000000-1.tmp"
-    old = tmp_path / ".b.json.12.tmp"
-    foreign = tmp_path / ".notes.tmp"
-    for path in (left, running, elsewhere, old, foreign):
-        path.write_bytes(b"half")
-    long_ago = old.stat().st_mtime - 2 * DAY_S
-    os.utime(old, (long_ago, long_ago))
-    write_atomic(tmp_path / "a.json", b"whole")
-    left.write_bytes(b"half")
-    write_atomic(tmp_path / "a.json", b"whole")
-    left.unlink()  # it is there: a folder is looked at once
-    assert {path.name for path in tmp_path.iterdir()} == {"a.json", running.name, elsewhere.name, foreign.name}
+from mecp_env.core.files import text_of, write_atomic
 
 
 def test_a_name_as_long_as_the_system_allows_is_written(tmp_path: Path) -> None:

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from mecp_env.episode import observation_arrays, observations
-from mecp_env.episode.observation_arrays import COLUMNS, PREDICTED
+from mecp_env.episode.observation_arrays import COLUMNS, COV_MAX, EXTENT_M, PREDICTED
 from mecp_env.episode.observations import (
-    COV_MAX,
-    EXTENT_M,
     GOALS,
     GRID,
     LANDMARKS,
@@ -33,7 +31,7 @@ def random_grid(rng, rows=37, cols=53):
 def test_cell_codes_against_a_plain_twin():
     rng = np.random.default_rng(0)
     label, polygon, room = random_grid(rng)
-    codes = observation_arrays.cell_codes(label, polygon, room, 1)
+    codes = observation_arrays.cell_codes(np.pad(label, 1), polygon, room, 1)
     layers = codes >> np.arange(8)[:, None, None] & 1
     padded = np.pad(label, 1, constant_values=int(Cell.UNKNOWN))
     beside = [
@@ -51,7 +49,7 @@ def test_cell_codes_against_a_plain_twin():
     }
     for name, layer in expected.items():
         assert np.array_equal(layers[LAYER[name]], layer), name
-    assert not (observation_arrays.cell_codes(label, polygon, room, -1) & observation_arrays.ROOM).any()
+    assert not (observation_arrays.cell_codes(np.pad(label, 1), polygon, room, -1) & observation_arrays.ROOM).any()
 
 
 @pytest.mark.parametrize("width", [1, 2, 3, 8])

@@ -19,6 +19,7 @@ from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Pillar
 from tests.floorplans import plans
 from tests.floorplans.plans import RESOLUTION_M
+from tests.world.make import jambs_of
 
 REAL_PLANS = {  # rooms and doors by eye
     "houseexpo/0a1b29dba355df2ab02630133187bfab.json": (7, 6),
@@ -43,8 +44,7 @@ def test_two_rooms_and_their_door(tmp_path: Path) -> None:
     assert (door.direction_deg + 90.0) % 180.0 == pytest.approx(90.0, abs=0.01)
     outline = build_outline(layout)
     assert len(outline.segments) == 12
-    assert outline.corners.jamb.sum() == 4
-    assert np.array_equal(outline.corners.jamb, outline.corners.convex)
+    assert np.array_equal(jambs_of(outline)[0], outline.corners.convex)
     assert outline.free_area.area == pytest.approx(40.0 + 0.09, abs=0.02)
     assert len(layout.starts) == 2
     ends_in_floor = read(plans.two_rooms_picture()[:, 40:], tmp_path, free_above=210)  # is closed
@@ -56,7 +56,7 @@ def test_a_corridor_has_doors_to_rooms_only(tmp_path: Path) -> None:
     layout = read(plans.corridor_picture(), tmp_path)
     assert (len(layout.rooms), len(layout.doors)) == (4, 3)
     assert all(door.width_m == pytest.approx(0.9, abs=0.06) for door in layout.doors)
-    assert build_outline(layout).corners.jamb.sum() == 12
+    assert jambs_of(build_outline(layout)).sum() == 12
     corridor = Polygon(layout.rooms[0].polygon)
     assert corridor.contains(Point(9.5, 3.0))
     assert corridor.contains(Point(2.0, 5.2))
@@ -138,7 +138,7 @@ def test_a_house_of_fingers_and_stairs(tmp_path: Path) -> None:
     assert (*below.centre, below.width_m) == pytest.approx((2.45, 3.06, 0.9), abs=0.02)
     assert (*beside.centre, beside.width_m) == pytest.approx((4.0, 3.95, 0.9), abs=0.02)
     outline = build_outline(layout)
-    assert outline.corners.jamb.sum() == 8
+    assert jambs_of(outline).sum() == 8
     assert len(outline.segments) == 22
     assert outline.free_area.area == pytest.approx(Polygon(plans.house()["verts"]).area, abs=0.1)
     layout = load_plan(house_file(tmp_path, room_category={"Room": [[3.5, -1, 9, 7]]}))  # boxes say little
@@ -232,7 +232,7 @@ def test_real_plans_are_read_as_a_person_would(name: str) -> None:
     assert load_layout(json.loads(layout.to_json())) == layout
     assert outline.free_area.boundary.distance(Point(layout.starts[0].point)) > 0.9
     if len(layout.doors) == 6:
-        assert np.bincount(outline.corners.door + 1)[1:].tolist() == [4] * 6
+        assert jambs_of(outline).sum(axis=1).tolist() == [4] * 6
         widths = sorted(door.width_m for door in layout.doors)
         assert widths == pytest.approx([0.71, 1.0, 1.0, 1.15, 1.2, 1.84], abs=0.03)
         assert {"Kitchen", "Gym", "Bedroom", "Bedroom 2"} <= {room.name for room in layout.rooms}

@@ -8,7 +8,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import Polygon
+from scipy.spatial import cKDTree
+from shapely.geometry import LineString, Polygon
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.world.config import SPLITS, GeneratorSpec, split_seed
@@ -17,6 +18,7 @@ from mecp_env.world.generator import generate
 from mecp_env.world.layout import check_geometry, load_layout
 from mecp_env.world.outline import Outline, obstacle_shape
 from mecp_env.world.schema import Layout
+from tests.world.make import jambs_of
 
 CORNERS_APART_M = 0.25
 VERTICES = {"L": 6, "U": 8, "T": 8}
@@ -65,12 +67,11 @@ def check_furniture(spec: GeneratorSpec, layout: Layout) -> None:
 
 
 def check_corners(outline: Outline) -> None:
-    """No two corners of a room nearer to each other than stated, but those of the end of a wall."""
-    corners = outline.corners
-    apart = np.linalg.norm(corners.p_world[:, None] - corners.p_world[None], axis=2)
-    same = (corners.room[:, None] == corners.room[None]) & ~(corners.jamb[:, None] & corners.jamb[None])
-    np.fill_diagonal(same, False)
-    assert apart[same].min() > CORNERS_APART_M - 1e-6
+    """No two corners that see each other nearer than stated, but those of the end of a wall."""
+    corners, jamb = outline.corners.p_world, jambs_of(outline).any(axis=0)
+    for a, b in cKDTree(corners).query_pairs(CORNERS_APART_M - 1e-6):
+        across = outline.free_area.covers(LineString([corners[a], corners[b]]))
+        assert (jamb[a] and jamb[b]) or not across
     assert np.linalg.norm(np.diff(outline.segments, axis=1)[:, 0], axis=1).min() > 0.02  # no sliver
 
 

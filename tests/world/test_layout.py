@@ -17,6 +17,7 @@ from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import BoxSpec
 from tests.world.conftest import DOCUMENTS
+from tests.world.make import jambs_of
 
 Document = dict[str, Any]
 
@@ -207,14 +208,14 @@ def solid_house() -> Document:
 def test_solids_with_a_gap_are_as_good_as_walls_with_a_cut() -> None:
     layout = load_layout(solid_house())
     outline = build_outline(layout)
-    assert (len(outline.segments), outline.corners.jamb.sum()) == (12, 4)
+    assert (len(outline.segments), jambs_of(outline).sum()) == (12, 4)
     assert outline.doors.thickness == pytest.approx([0.1])
     assert outline.free_area.area == pytest.approx(24.09)
     assert load_layout(json.loads(layout.to_json())) == layout
     document = solid_house()
     replace("solids.0.holes.0.5", [4, 1.05])(document)  # posts may be a little off
     replace("doors.0.width_m", 0.87)(document)
-    assert build_outline(load_layout(document)).corners.jamb.sum() == 4
+    assert jambs_of(build_outline(load_layout(document))).sum() == 4
 
 
 CUT = {"centre": [4.05, 1.45], "width_m": 0.9, "rooms": ["west", "east"], "direction_deg": 0, "opening": "cut"}

@@ -10,6 +10,7 @@ from shapely.geometry import Point
 from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import Layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
+from tests.world.make import jambs_of
 
 HALF = 0.06  # half the thickness of an inner wall
 OUTER = 0.075
@@ -39,10 +40,8 @@ def test_two_rooms_by_hand(two_rooms: Outline) -> None:
     points = [tuple(p) for p in corners.p_world.round(9).tolist()]
     assert set(points) == {(round(x, 9), round(y, 9)) for x, y in expected | jambs}
     assert len(points) == 12
-    assert {p for p, jamb in zip(points, corners.jamb, strict=True) if jamb} == jambs
-    assert np.array_equal(corners.convex, corners.jamb)
-    assert np.array_equal(corners.door >= 0, corners.jamb)
-    assert np.array_equal(corners.room, (corners.p_world[:, 0] > 5.0).astype(int))
+    assert {p for p, convex in zip(points, corners.convex, strict=True) if convex} == jambs
+    assert np.array_equal(corners.convex, jambs_of(two_rooms)[0])
 
 
 def test_normals_and_face_lengths_by_hand(two_rooms: Outline) -> None:
@@ -74,16 +73,15 @@ def test_faces_close_and_enclose_the_free_area(outline: Outline) -> None:
 
 def test_corners_belong_to_rooms_and_doors(outline: Outline) -> None:
     """Separable: faces are 0.35 m or longer, but for those through doors, as long as the wall is thick."""
-    corners, doors = outline.corners, outline.doors
-    assert np.all(corners.faces[corners.jamb].min(axis=1) <= 0.15 + 1e-9)
-    assert corners.faces[~corners.jamb].min() >= 0.35
-    assert corners.faces[corners.jamb].max(axis=1).min() >= 0.35
-    assert (corners.room >= 0).all()
-    assert np.array_equal(np.bincount(corners.door[corners.jamb]), np.full(len(doors), 4))
+    corners, doors, jambs = outline.corners, outline.doors, jambs_of(outline)
+    jamb = jambs.any(axis=0)
+    assert np.all(corners.faces[jamb].min(axis=1) <= 0.15 + 1e-9)
+    assert corners.faces[~jamb].min() >= 0.35
+    assert corners.faces[jamb].max(axis=1).min() >= 0.35
+    assert jambs.sum(axis=1).tolist() == [4] * len(doors)
     for index in range(len(doors)):
-        posts = corners.door == index
-        assert set(corners.room[posts]) == set(doors.rooms[index])
-        assert np.linalg.norm(corners.p_world[posts] - doors.centre[index], axis=1) == pytest.approx(
+        assert set(outline.room_at(corners.p_world[jambs[index]])) == set(doors.rooms[index])
+        assert np.linalg.norm(corners.p_world[jambs[index]] - doors.centre[index], axis=1) == pytest.approx(
             math.hypot(doors.width[index] / 2.0, doors.thickness[index] / 2.0)
         )
 

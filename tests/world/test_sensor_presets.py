@@ -126,6 +126,6 @@ def test_wheels_slip_in_their_share_of_the_steps() -> None:
     slipped = far > 0.4 + 1e-12
     assert slipped.mean() == pytest.approx(0.2, abs=0.02)
     assert far.max() < 0.4 * config.slip_most
-    assert aside[slipped].std() == pytest.approx(config.slip_turn_rad, rel=0.1)
+    assert aside[slipped].std() == pytest.approx(math.radians(config.slip_turn_deg), rel=0.1)
     assert not aside[~slipped].any()
     assert not any(measure(at_rest, config, rng).increments.any() for _ in range(50))

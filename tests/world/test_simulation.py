@@ -7,7 +7,7 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from mecp_env.core.errors import ActionError, ConfigError, MecpError
+from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import TOUCH_M, RobotLimits, slide, wall_distance
@@ -127,22 +127,11 @@ def test_walls_leave_the_nearest_velocity_that_leads_into_none() -> None:
         assert found == pytest.approx(shuffled, abs=1e-12)
 
 
-def test_wrong_commands_poses_and_states_are_refused_and_change_nothing(two_rooms: Outline) -> None:
+def test_a_state_is_a_copy_and_a_wrong_robot_is_refused(two_rooms: Outline) -> None:
     simulation = at(two_rooms, 2.0, 2.0)
     state = simulation.get_state()
     simulation.step(0.3, 0.3)
     assert np.array_equal(state["body"], [2.0, 2.0, 0.0, 0.0, 0.0, 0.0])  # a copy
-    before = simulation.get_state()["body"]
-    for command in ((math.nan, 0.0), (0.0, math.inf)):
-        with pytest.raises(ActionError, match="finite"):
-            simulation.step(*command)
-    for pose in ((math.nan, 1.0, 0.0), (1.0, 1.0), (5.0, 4.0, 0.0), (0.2, 2.0, 0.0)):
-        with pytest.raises(MecpError, match="T_world_robot"):
-            simulation.reset(np.array(pose))
-    for wrong in ({}, {"body": np.zeros(5)}, {"body": [math.nan] * 6}):
-        with pytest.raises(MecpError, match="body"):
-            simulation.set_state(wrong)
-    assert np.array_equal(simulation.get_state()["body"], before)
     for robot in ({"arcs": 0}, {"period_s": 3.0}, {"v": 1.0}, {"radius_m": math.nan}):
         with pytest.raises(ConfigError, match="RobotConfig"):
             RobotConfig(**robot)
