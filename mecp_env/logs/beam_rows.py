@@ -5,17 +5,16 @@ from __future__ import annotations
 import math
 from array import array
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LogError
-from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.cells import Row, number
 from mecp_env.logs.columns import UNITS, Place, parsed
-from mecp_env.logs.readings import FEWEST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
+from mecp_env.logs.recording import FEWEST_BEAMS, MOST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
 
 BEARINGS = ("angle", "angule", "bearing", "azimuth", "beam angle", "scan angle", "theta")  # the first of them counts;
 # RoboStudio writes `Angule`
@@ -31,17 +30,6 @@ LEAST_GAP = math.radians(20.0)  # a wider one is not seen: bearings count from i
 CLOSED_STEPS = 3.0  # by which a view may miss a whole turn
 
 
-@dataclass(slots=True, eq=False)
-class Beams:
-    """The rows so far."""
-
-    t: array[float] = field(default_factory=lambda: array("d"))  # s
-    bearing: array[float] = field(default_factory=lambda: array("d"))
-    distance: array[float] = field(default_factory=lambda: array("d"))
-    scan: array[float] = field(default_factory=lambda: array("d"))  # which sweep, where a column says it
-    poses: list[Array] = field(default_factory=list)  # (3,) each, where the rows have one
-
-
 @dataclass(frozen=True, slots=True)
 class BeamColumns:
     """Which column has what in a table with a row per beam."""
@@ -50,7 +38,7 @@ class BeamColumns:
     bearing: int
     distance: int
     scan: int | None
-    unit: str  # of the bearing; empty: the name does not say
+    unit: str  # of the bearing; empty: the name does not say, and those beyond a turn in rad are degrees
 
     @classmethod
     def of(cls, names: Sequence[str]) -> BeamColumns | None:
@@ -64,51 +52,48 @@ class BeamColumns:
             place = replace(place, position=(), heading=())
         return cls(place, bearing, distance, scan, parsed(names[bearing]).unit_name)
 
-    def read(self, rows: Iterable[Row], recording: Recording) -> Beams:
-        """All rows that are not damaged; the others are counted."""
-        beams = Beams()
-        for number_, cells, _ in rows:
-            recording.budget.take(ROW_BYTES + POSE_BYTES * bool(self.place.position))
-            try:
-                self._add(beams, cells)
-            except (ValueError, IndexError):
-                recording.damaged("row", number_, cells)
-        return beams
+    def read(self, rows: Iterable[Row], recording: Recording) -> tuple[Array, list[Array]]:
+        """The rows (n,4) that are not damaged: stamp, bearing, m, which sweep (nan: not known); and a pose (3,) each.
 
-    def _add(self, beams: Beams, cells: list[str]) -> None:
-        """Take in a row. Raises `ValueError` and `IndexError` for a damaged one."""
+        There are no poses where the rows have none. Damaged rows are counted.
+        """
+        found, poses = array("d"), list[Array]()
+        for at, cells, _ in rows:
+            recording.take(ROW_BYTES + POSE_BYTES * bool(self.place.position))
+            try:
+                values, pose = self._row(cells)
+            except (ValueError, IndexError):
+                recording.damaged("row", at, cells)
+                continue
+            found.extend(values)
+            poses += [] if pose is None else [pose]
+        return np.array(found).reshape(-1, 4), poses
+
+    def _row(self, cells: list[str]) -> tuple[tuple[float, ...], Array | None]:
+        """What a row has. Raises `ValueError` and `IndexError` for a damaged one."""
         bearing, distance = number(cells[self.bearing]), number(cells[self.distance])
         t, pose = self.place.time(cells), self.place.pose(cells)
         scan = math.nan if self.scan is None else number(cells[self.scan])
         if not math.isfinite(bearing):
             raise ValueError
-        values = t, bearing, distance * self.place.units[self.distance], scan
-        for column, value in zip((beams.t, beams.bearing, beams.distance, beams.scan), values, strict=True):
-            column.append(value)
-        beams.poses += [] if pose is None else [pose]
+        return (t, bearing, distance * self.place.units[self.distance], scan), pose
 
 
 def read_beam_rows(rows: Iterable[Row], columns: BeamColumns, recording: Recording) -> None:
     """The sweeps of a table with a row per beam. Raises `LogError`."""
-    beams = columns.read(rows, recording)
-    if not beams.bearing:
+    found, poses = columns.read(rows, recording)
+    if not len(found):
         return
-    bearing, unit = _in_radians(np.array(beams.bearing), columns.unit)
-    bearing = _behind_gap(bearing)
-    whole, usual = _whole(_ends(beams, bearing), recording)
+    t, bearing, distance, scan = found.T
+    unit = columns.unit or ("degrees" if abs(bearing).max() > ABOUT_A_TURN else "rad")
+    bearing = _behind_gap(UNITS[unit] * bearing)
+    whole, usual = _whole(_ends(scan, t, bearing), recording)
     recording.notes.append(f"a row per beam: {len(whole)} scans of about {usual} rows, bearings in {unit}")
     geometry, near_steps = _geometry([bearing[part] for part in whole], usual)
-    distance = np.array(beams.distance)
     for place, part in enumerate(whole):
-        pose = beams.poses[part.start] if beams.poses else None
         ranges = _on_grid(bearing[part], distance[part], geometry, near_steps * abs(geometry.step_rad))
-        recording.add(Sweep(beams.t[part.start], ranges, geometry, pose, order=float(place)))
-
-
-def _in_radians(bearing: Array, unit: str) -> tuple[Array, str]:
-    """Bearings (n,) rad, and their unit in the table; where it is not known, those beyond a turn in rad are degrees."""
-    unit = unit or ("degrees" if abs(bearing).max() > ABOUT_A_TURN else "rad")
-    return UNITS[unit] * bearing, unit
+        pose = poses[part.start] if poses else None
+        recording.add(Sweep(float(t[part.start]), ranges, geometry, pose, order=float(place)))
 
 
 def _behind_gap(bearing: Array) -> Array:
@@ -141,12 +126,12 @@ def _best(words: list[str], known: Sequence[str]) -> int | None:
     return next((words.index(word) for word in known if words.count(word) == 1), None)
 
 
-def _ends(beams: Beams, bearing: Array) -> Ints:
+def _ends(scan: Array, t: Array, bearing: Array) -> Ints:
     """(n+1,) the rows at which sweeps begin, and the end.
 
     A sweep ends where its number changes, or its stamp, or where the bearings start again.
     """
-    for names in (np.array(beams.scan), np.array(beams.t)):
+    for names in (scan, t):
         begins = np.flatnonzero(np.diff(names) != 0.0) + 1
         if np.isfinite(names).all() and len(begins) and (len(begins) + 1) * FEWEST_BEAMS <= len(names):
             return np.concatenate(([0], begins, [len(names)]))
@@ -164,13 +149,11 @@ def _geometry(sweeps: list[Array], beams: int) -> tuple[Geometry, float]:
     """
     first = float(np.median([sweep.min() for sweep in sweeps]))
     last = float(np.median([sweep.max() for sweep in sweeps]))
-    near_steps, even = NEAR_STEPS, _even_beams(sweeps, first, last)
-    if even is not None:
-        beams, near_steps = even, 0.5
+    if even := _even_beams(sweeps, first, last):
+        return Geometry(even, first, (last - first) / (even - 1)), 0.5
     step = (last - first) / (beams - 1)
-    if last - first > TURN - CLOSED_STEPS * step and even is None:
-        return Geometry(beams, first, TURN / beams), near_steps
-    return Geometry(beams, first, step), near_steps
+    step = TURN / beams if last - first > TURN - CLOSED_STEPS * step else step
+    return Geometry(beams, first, step), NEAR_STEPS
 
 
 def _even_beams(sweeps: list[Array], first: float, last: float) -> int | None:

@@ -13,9 +13,8 @@ import numpy as np
 
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
-from mecp_env.logs.carmen import MOST_BEAMS
 from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
-from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Recording, Sweep
+from mecp_env.logs.recording import FEWEST_BEAMS, MOST_BEAMS, Geometry, Recording, Sweep
 
 STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds", "datetime", "epoch"}
 STAMPS |= {"date time", "ros time", "unix time"}
@@ -27,13 +26,7 @@ WHOLE, NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}  
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS = LENGTHS | {"rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
 UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1.0) | dict.fromkeys(NANOSECONDS, 1e-9)
-LASER = (
-    "angle min",
-    "angle max",
-    "angle increment",
-    "range min",
-    "range max",
-)  # columns of a table of ROS messages; rad and m
+LASER = {f"angle {what}" for what in ("min", "max", "increment")} | {"range min", "range max"}  # of ROS; rad and m
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
 ANGLES = re.compile("angle|bearing|azimuth", re.IGNORECASE)  # beside readings, as many: their bearings
@@ -159,12 +152,10 @@ class Columns:
 
     def _ranges(self, there: list[str]) -> Array:
         """(B,) m of the readings of a row, of which the last may be missing. Raises `ValueError`."""
+        missing = len(self.readings) - len(there)
         if len(there) < LEAST_SHARE * len(self.readings):
             raise ValueError
-        ranges = np.full(len(self.readings), math.nan)
-        ranges[: len(there)] = np.fromiter(map(number, there), np.float64, len(there))
-        ranges *= self.scale
-        return ranges
+        return np.array([*map(number, there), *[math.nan] * missing], np.float64) * self.scale
 
 
 def columns_of(names: list[str], sample: list[str], view_deg: float | None, notes: list[str]) -> Columns:
@@ -209,13 +200,13 @@ def _check_names(names: list[str], place: Place) -> None:
 
 def _said(names: list[str], words: list[str]) -> dict[str, float]:
     """The columns about the laser with their numbers, rad and m, in a row."""
-    found = dict[str, float]()
-    for name, word in zip(names, words, strict=True) if len(names) == len(words) else ():
-        what, unit, _ = parsed(name)
-        value = numbers([word]) if what in LASER else None
-        if value is not None and np.isfinite(value).all():
-            found[what] = unit * float(value[0])
-    return found
+    pairs = zip(map(parsed, names), words, strict=True) if len(names) == len(words) else ()
+    values = {name.word: (name.unit, numbers([word])) for name, word in pairs if name.word in LASER}
+    return {
+        what: unit * float(value[0])
+        for what, (unit, value) in values.items()
+        if value is not None and np.isfinite(value).all()
+    }
 
 
 def _readings(names: list[str], others: set[int]) -> list[int]:

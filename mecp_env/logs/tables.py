@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,11 +14,11 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.logs.beam_rows import BeamColumns, read_beam_rows
-from mecp_env.logs.carmen import MAGIC, MOST_BYTES, PACKED, unpacked
+from mecp_env.logs.carmen import MOST_BYTES, PACKED, unpacked
 from mecp_env.logs.cells import JOIN, Row, flat, numbers, rows_of
 from mecp_env.logs.clock import DAY_S
 from mecp_env.logs.columns import Place, columns_of
-from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep
+from mecp_env.logs.recording import Geometry, Recording, Sweep
 
 TABLES = (".csv", ".tsv", ".txt", ".dat")
 HEAD, SAMPLED = 10, 200  # rows that may tell the names, and where lists are
@@ -34,9 +33,8 @@ FIRST_RANGE, DAT_VIEW_DEG, DAT_AHEAD_M, DAT_LIMIT_M = 24, 240.0, 0.145, 5.6  # o
 def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     """What is in a table. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
-    recording = Recording(path.name, budget=Budget.of(len(data)))
-    if data.startswith(MAGIC):
-        data = b"".join(unpacked(data, recording.counts))
+    recording = Recording(path.name, len(data))
+    data = b"".join(unpacked(data, recording.counts))
     is_dat = path.name.lower().removesuffix(PACKED).endswith(".dat")
     (_read_dat if is_dat else _read_csv)(data, recording, field_of_view_deg)
     if not recording.sweeps:
@@ -50,13 +48,13 @@ def _read_csv(data: bytes, recording: Recording, view_deg: float | None) -> None
     head = list(islice(rows_of(data, comments=True), HEAD))
     _check_lists(head)
     header = header_of(head)
-    names, behind = header.cells, (row for row in rows_of(data) if row.number > header.number)
-    of_beams = BeamColumns.of(names)
+    behind = (row for row in rows_of(data) if row.number > header.number)
+    of_beams = BeamColumns.of(header.cells)
     if of_beams is not None:
         read_beam_rows(behind, of_beams, recording)
         _turn_over(data, recording)
         return
-    columns = columns_of(names, _sample(data, header), view_deg, recording.notes)
+    columns = columns_of(header.cells, _sample(data, header), view_deg, recording.notes)
     for number, cells, _ in behind:
         words = flat(cells)
         try:
@@ -74,20 +72,14 @@ def _sample(data: bytes, header: Row) -> list[str]:
 
 
 def _count_days(recording: Recording) -> None:
-    """Go on where stamps that are times of the day begin again at midnight."""
-    for stamps in ([sweep.t for sweep in recording.sweeps], recording.odometry.t):
-        if not all(0.0 <= t <= DAY_S for t in stamps):
-            return
-    recording.odometry.t = _over_midnight(recording.odometry.t)
-    stamps = _over_midnight([sweep.t for sweep in recording.sweeps])
-    recording.sweeps = [replace(sweep, t=t) for sweep, t in zip(recording.sweeps, stamps, strict=True)]
-
-
-def _over_midnight(stamps: list[float]) -> list[float]:
-    """s: a day later behind each stamp that is more than half a day earlier than the one before."""
-    days = np.cumsum(np.diff(stamps, prepend=stamps[:1]) < -0.5 * DAY_S)
-    later: list[float] = (np.array(stamps) + DAY_S * days).tolist()
-    return later
+    """Go on where stamps that are times of the day begin again at midnight: half a day earlier than the one before."""
+    both = [np.array([sweep.t for sweep in recording.sweeps]), np.array(recording.odometry.t)]
+    if not all(((t >= 0.0) & (t <= DAY_S)).all() for t in both):
+        return
+    scans, odometry = ((t + DAY_S * np.cumsum(np.diff(t, prepend=t[:1]) < -0.5 * DAY_S)).tolist() for t in both)
+    recording.odometry.t = odometry
+    for sweep, t in zip(recording.sweeps, scans, strict=True):
+        sweep.t = t
 
 
 def _check_lists(head: list[Row]) -> None:
@@ -99,7 +91,8 @@ def _check_lists(head: list[Row]) -> None:
 def _turn_over(data: bytes, recording: Recording) -> None:
     """Turn the bearings of an RPLIDAR round, which count clockwise."""
     if RPLIDAR.search(data[:START]):
-        recording.sweeps = [sweep.mirrored() for sweep in recording.sweeps]
+        for sweep in recording.sweeps:
+            sweep.mirror()
         recording.notes.append("rows of an RPLIDAR, whose bearings count clockwise: they are turned round")
 
 
@@ -124,27 +117,23 @@ def has_names(row: Row) -> bool:
 
 def _read_dat(data: bytes, recording: Recording, view_deg: float | None) -> None:
     """Stamp in us, a number, ticks of the left and right wheel, 20 numbers, ranges in mm (0: no return), a number."""
-    wheels = list[Array]()
+    view, before, pose = math.radians(view_deg or DAT_VIEW_DEG), None, np.zeros(3)
     recording.T_robot_laser = np.array([DAT_AHEAD_M, 0.0, 0.0])
     for number, words, _ in rows_of(data):
         row = numbers(words[:-1])
         if row is None or len(row) < FIRST_RANGE + 2 or not (np.abs(row[:4]) < MOST_TICKS).all():
             recording.damaged("row", number, words)
             continue
-        wheels.append(row[2:4] * math.pi * WHEEL_M / TICKS)
-        pose = _driven(recording.sweeps[-1].T_odom_robot if recording.sweeps else None, wheels[-2:])
-        view = math.radians(view_deg or DAT_VIEW_DEG)
+        wheels = row[2:4] * math.pi * WHEEL_M / TICKS
+        pose, before = pose if before is None else _driven(pose, *(wheels - before)), wheels
         beams = len(row) - FIRST_RANGE
         geometry = Geometry(beams, -0.5 * view, view / (beams - 1), 0.0, DAT_LIMIT_M)
         recording.add(Sweep(1e-6 * row[0], 1e-3 * row[FIRST_RANGE:], geometry, pose, order=float(number)))
 
 
-def _driven(before: Array | None, wheels: list[Array]) -> Array:
-    """(3,) the pose after the wheels went on from the first to the last of their two positions (2,) m."""
-    if before is None:
-        return np.zeros(3)
-    left, right = wheels[-1] - wheels[0]
+def _driven(pose: Array, left: float, right: float) -> Array:
+    """(3,) the pose after the wheels went on by so many m."""
     distance, turn = 0.5 * (left + right), (right - left) / AXLE_M
-    towards = before[2] + 0.5 * turn
-    after: Array = before + np.array([distance * math.cos(towards), distance * math.sin(towards), turn])
+    towards = pose[2] + 0.5 * turn
+    after: Array = pose + np.array([distance * math.cos(towards), distance * math.sin(towards), turn])
     return after

@@ -8,7 +8,7 @@ import pytest
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
-from mecp_env.logs.bag2_parts import MOST_MESSAGE, unpacked_message
+from mecp_env.logs.bag_parts import MOST_MESSAGE, unpacked_message
 from tests.logs.files import (
     BEARINGS,
     MOUNT,
