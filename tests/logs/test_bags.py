@@ -20,7 +20,6 @@ from tests.logs.files import (
     check_path,
     drive,
     sweep,
-    write_bag,
 )
 
 pytest.importorskip("rosbags")
@@ -274,10 +273,3 @@ def test_quaternions_with_w_first_limits_that_are_wrong_and_a_clock_that_is_set_
     notes = read_log(bag.close()).notes
     for said in ("perhaps w is first", "of the readings measure nothing", "1 of 12 scans are out of order"):
         assert any(said in note for note in notes)
-
-
-@pytest.mark.parametrize("name", ["a.bag.gz", "a.BAG"])
-def test_a_bag_that_is_packed_or_has_another_name(tmp_path: Path, name: str) -> None:
-    write_bag(tmp_path / "a.bag").rename(tmp_path / name)
-    with pytest.raises(LogError, match=r"with \.bag behind its name"):
-        read_log(tmp_path / name)

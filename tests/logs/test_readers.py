@@ -130,29 +130,46 @@ def test_which_laser_is_read(tmp_path: Path) -> None:
         read_lines(tmp_path, ["ODOM 0 0 0 0 0 0 1.0 host 1.0"])
 
 
-@pytest.mark.parametrize("name", ["a.log", "a.npz", "a.bag", "a.db3", "a.mcap", "a.txt", "a"])
-@pytest.mark.parametrize("content", [b"", b"\x00\xff garbage \n" * 50])
-def test_no_log(tmp_path: Path, name: str, content: bytes) -> None:
+GARBAGE = b"\x00\xff garbage \n" * 50
+NO_LOGS: list[tuple[str, bytes, str]] = [
+    *((name, b"", "an empty file") for name in ("a.log", "a.npz", "a.bag", "a.db3", "a.mcap", "a.txt", "a")),
+    *((name, GARBAGE, name) for name in ("a.log", "a.npz", "a.txt", "a")),
+    *((name, GARBAGE, "begins as none does") for name in ("a.bag", "a.db3", "a.mcap")),
+    *(
+        (name, start + b"x" * 100, f"{name}: not a log as it is.*{said}")
+        for name in ("a.log", "a.csv", "a.bag", "a.zip")
+        for start, said in (
+            (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+            (b"\n<!DOCTYPE html>\n", "a web page"),
+            (b"\xfd7zXZ\x00", "xz: unpack"),
+            (b"PK\x03\x04", "zip: unpack it first, or save a spreadsheet as .csv"),
+            (b'{"t": 0.0, "ranges": [1.0, 2.0]}\n', "JSON: write"),
+            (b'[{"t": 0.0, "ranges": [1.0, 2.0]}]\n', "JSON: write"),
+            (b"header:\n  seq: 1\n---\n", "record a bag"),
+            ("t,x,y,heading".encode("utf-16"), "UTF-8"),
+        )
+    ),
+    ("a.csv", "t,x\n".encode("utf-16-le"), "UTF-16"),
+    ("a.log", b"#ROSBAG V2.0\n", r"\.bag"),
+    ("a.bag", b"\x89MCAP0\r\n", r"\.mcap"),
+    ("a.csv", b"SQLite format 3\0", r"\.db3"),
+    *((name, b"#ROSBAG V2.0\n", r"with \.bag behind its name") for name in ("a.bag.gz", "a.BAG")),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "said"), NO_LOGS)
+def test_files_that_are_no_logs_or_not_what_their_name_says(
+    tmp_path: Path, name: str, content: bytes, said: str
+) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(LogError, match=name):
+    with pytest.raises(LogError, match=said):
         read_log(tmp_path / name)
 
 
-@pytest.mark.parametrize(
-    ("start", "said"),
-    [
-        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
-        (b"\n<!DOCTYPE html>\n", "a web page"),
-        (b"\xfd7zXZ\x00", "xz: unpack"),
-        (b"PK\x03\x04", "zip: unpack"),
-        ("t,x,y,heading".encode("utf-16"), "UTF-8"),
-    ],
-)
-def test_files_that_are_something_else(tmp_path: Path, start: bytes, said: str) -> None:
-    for name in ("a.log", "a.csv", "a.bag", "a.zip"):
-        (tmp_path / name).write_bytes(start + b"x" * 100)
-        with pytest.raises(LogError, match=f"{name}: not a log as it is.*{said}"):
-            read_log(tmp_path / name)
+@pytest.mark.parametrize("name", ["a.csv", "a.txt", "a.tsv", "a.log"])
+def test_a_carmen_log_by_its_lines_whatever_its_name(tmp_path: Path, name: str) -> None:
+    (tmp_path / name).write_text("\r".join(lines_of(*drive())))
+    check_path(read_log(tmp_path / name))
 
 
 def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
