@@ -26,7 +26,6 @@ INSIDE = {  # how often a file of the tests does what one should not; may only b
         "tests/env/helpers.py": 2,
         "tests/env/test_goal_actions.py": 1,
         "tests/env/test_reset.py": 1,
-        "tests/floorplans/test_door_candidates.py": 3,
         "tests/policies/test_evaluate.py": 1,
         "tests/slam/panorama/test_registration.py": 1,
         "tests/vector/test_failures.py": 4,

@@ -12,8 +12,7 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LogError
-from mecp_env.logs.cells import Row, number
-from mecp_env.logs.columns import UNITS, Place, parsed
+from mecp_env.logs.columns import UNITS, Place, Row, number, parsed
 from mecp_env.logs.recording import FEWEST_BEAMS, MOST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
 
 BEARINGS = ("angle", "angule", "bearing", "azimuth", "beam angle", "scan angle", "theta")  # the first of them counts;

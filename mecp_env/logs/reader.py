@@ -10,7 +10,7 @@ from mecp_env.core.files import exists
 from mecp_env.logs.assemble import assemble
 from mecp_env.logs.bag import SUFFIXES, is_bag, read_bag
 from mecp_env.logs.carmen import MAGIC, PACKED, READERS, read_carmen
-from mecp_env.logs.cells import rows_of
+from mecp_env.logs.columns import rows_of
 from mecp_env.logs.log import Log, read_archive
 from mecp_env.logs.recording import ReadOptions, Recording
 from mecp_env.logs.tables import TABLES, has_names, header_of, read_table

@@ -15,9 +15,8 @@ from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.logs.beam_rows import BeamColumns, read_beam_rows
 from mecp_env.logs.carmen import MOST_BYTES, PACKED, unpacked
-from mecp_env.logs.cells import JOIN, Row, flat, numbers, rows_of
 from mecp_env.logs.clock import DAY_S
-from mecp_env.logs.columns import Place, columns_of
+from mecp_env.logs.columns import JOIN, Place, Row, columns_of, flat, numbers, rows_of
 from mecp_env.logs.recording import Geometry, Recording, Sweep
 
 TABLES = (".csv", ".tsv", ".txt", ".dat")

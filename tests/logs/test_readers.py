@@ -1,6 +1,7 @@
 """Every format gives the same log, and what is wrong in a file is one clear error or counted."""
 
 import gzip
+import itertools
 import os
 import re
 from pathlib import Path
@@ -21,6 +22,7 @@ from tests.logs.files import (
     BEARINGS,
     CARMEN,
     MOUNT,
+    bag_of,
     check_path,
     drive,
     flaser,
@@ -274,6 +276,29 @@ def test_beams_all_around(tmp_path: Path) -> None:
     assert len(log.bearings) == 360
     jumps = read_log(write_archive(tmp_path / "c.npz", angles=BEARINGS % (2.0 * np.pi)))
     np.testing.assert_allclose(jumps.bearings, BEARINGS, atol=1e-9)
+
+
+def in_degrees(folder: Path, where: str) -> Path:
+    """The drive with angles of the laser in degrees, in a line of CARMEN only the first."""
+    if where == "archive":
+        return write_archive(folder / "a.npz", angles=np.degrees(BEARINGS))
+    if where == "a turn later":
+        return write_archive(folder / "a.npz", angles=np.degrees(BEARINGS) % 360.0)
+    if where == "bag":
+        bag = bag_of(folder / "a.bag")
+        for scan, field in itertools.product(bag.of("/scan"), ("angle_min", "angle_max", "angle_increment")):
+            object.__setattr__(scan, field, np.degrees(getattr(scan, field)))
+        return bag.close()
+    lines = "\n".join(lines_of(*drive(), rawlaser))
+    (folder / "a.log").write_text(lines.replace(f"{-np.pi / 2:.9f}", "-90.0"))
+    return folder / "a.log"
+
+
+@pytest.mark.parametrize("where", ["archive", "a turn later", "bag", "line"])
+def test_angles_in_degrees_are_taken_as_such_and_named(tmp_path: Path, where: str) -> None:
+    log = read_log(in_degrees(tmp_path, where))
+    np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-4)
+    assert sum("angles of the laser are taken as degrees" in note for note in log.notes) == 1
 
 
 SOME = np.random.default_rng(0).uniform(0.2, 9.0, (12, BEAMS))
