@@ -112,7 +112,6 @@ def test_frames_odometry_and_index_of_a_bag(tmp_path: Path) -> None:
     path = write_bag(tmp_path / "a.bag", frames="/tf")
     check(read_log(path))
     np.testing.assert_array_equal(read_log(write_bag(tmp_path / "b.bag", frames="/other")).T_robot_laser, np.zeros(3))
-    assert read_log(write_bag(tmp_path / "c.bag", odometry=False)).T_odom_robot is None
     path.write_bytes(path.read_bytes()[:3000])
     with pytest.raises(LogError, match="rosbag reindex"):
         read_log(path)
@@ -314,7 +313,6 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     ),
     "complex ranges": ({"ranges": SOME + 0.0j}, "ranges.npy: damaged, or of the type complex128, not numbers"),
     "um": ({"ranges": 1e6 * SOME}, r"half of the readings are beyond \d+ m, at most 100 m expected"),
-    "a limit of 5 cm": ({"max_range_m": 0.05}, "no reading from 0 to"),
     "a limit of 1 cm": ({"max_range_m": 0.012}, "no reading from 0 to"),
     "odometry in mm": (
         {"odo": drive()[1] * (1000.0, 1000.0, 1.0)},
@@ -348,10 +346,7 @@ def test_readings_that_no_laser_has_in_metres(tmp_path: Path, unit: str, factor:
         assert any(f"taken for {unit}" in note for note in log.notes)
 
 
-def test_a_limit_or_mount_in_another_unit(tmp_path: Path) -> None:
-    for limit in (0.05, 0.012):
-        with pytest.raises(LogError, match=f"no reading from 0 to {limit:g} m"):
-            read_log(write_archive(tmp_path / "a.npz"), ReadOptions(max_range_m=limit))
+def test_a_mount_in_degrees(tmp_path: Path) -> None:
     log = read_log(write_archive(tmp_path / "b.npz", mount=np.array([0.1, 0.0, 180.0])))
     assert any("mounting pose 0.1 m, 0 m, 180 rad: at most 2 m" in note for note in log.notes)
 
