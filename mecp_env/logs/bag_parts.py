@@ -133,9 +133,10 @@ def _unpacked(packed: IO[bytes], most: int) -> Iterator[bytes]:
         if left < 0:
             raise LogError(f"a chunk unpacks to more than {most} bytes, too much for the size of the bag")
         yield piece
-        data = packed.read(PIECE) if unpacker.needs_input else b""
         if unpacker.eof:  # several frames may follow each other
             data = (unpacker.unused_data or b"") + packed.read(len(ZSTD))
             if not MARKS.match(data):
                 return
             unpacker = unpacker_of(data)
+        else:
+            data = packed.read(PIECE) if unpacker.needs_input else b""

@@ -8,7 +8,7 @@ import pytest
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, ReadOptions, read_log
-from mecp_env.logs.bag_parts import MOST_MESSAGE, unpacked_message
+from mecp_env.logs.bag_parts import MOST_MESSAGE, check_parts, unpacked_message
 from tests.logs.files import (
     BEARINGS,
     MOUNT,
@@ -249,6 +249,16 @@ def test_a_packed_message_is_unpacked_up_to_a_limit() -> None:
     assert len(unpacked_message(zstd.compress(bytes(2**26)))) == MOST_MESSAGE
     assert unpacked_message(zstd.compress(b"short")) == b"short"
     assert unpacked_message(b"plain") == b"plain"
+
+
+@pytest.mark.parametrize("module", ["bz2", "lz4.frame", "backports.zstd"])
+def test_frames_that_follow_each_other_in_a_chunk_count_together(tmp_path: Path, module: str) -> None:
+    pack, noise = pytest.importorskip(module).compress, np.random.default_rng(0).bytes(200_000)
+    frames = pack(noise) + 1000 * pack(b"x") + 3 * pack(bytes(1_000_000))
+    (tmp_path / "a.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(4) + len(frames).to_bytes(4, "little") + frames)
+    check_parts(tmp_path / "a.bag", 3_201_000)
+    with pytest.raises(LogError, match="a chunk unpacks to more than 3200999 bytes"):
+        check_parts(tmp_path / "a.bag", 3_200_999)
 
 
 def test_an_increment_of_the_wrong_sign_and_scans_without_ranges(tmp_path: Path) -> None:
