@@ -15,8 +15,7 @@ from mecp_env.floorplans.assemble import layout_of
 from mecp_env.floorplans.folder import ENDINGS, plan_files
 from mecp_env.floorplans.foreign import by_ending, of_json
 from mecp_env.floorplans.houseexpo import read_houseexpo
-from mecp_env.floorplans.image import read_plain_image
-from mecp_env.floorplans.labelled import read_labelled_image
+from mecp_env.floorplans.image import read_labelled_image, read_plain_image
 from mecp_env.floorplans.map_server import read_map_server
 from mecp_env.floorplans.options import PlanOptions
 from mecp_env.world.layout import MAX_BYTES, decode_json, load_layout

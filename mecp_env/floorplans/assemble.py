@@ -24,9 +24,16 @@ from mecp_env.floorplans.door_detection import (
     with_frames,
     with_wider_doors,
 )
-from mecp_env.floorplans.furniture import are_walls, fitted, without_furniture
+from mecp_env.floorplans.floor import (
+    are_walls,
+    fitted,
+    largest_part,
+    left_out,
+    reachable_floor,
+    without_furniture,
+    without_hollows,
+)
 from mecp_env.floorplans.options import FreeSpace, PlanOptions
-from mecp_env.floorplans.reachable_floor import largest_part, left_out, reachable_floor, without_hollows
 from mecp_env.floorplans.straighten import FINE, along_directions, directions, straightened, thinned
 from mecp_env.world.layout import check_geometry
 from mecp_env.world.outline import ROBOT_RADIUS_M

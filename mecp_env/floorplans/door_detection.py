@@ -1,7 +1,10 @@
 """Doors as short narrow passages: between two posts, wider on both sides, with walls that continue behind the posts.
 
-At each candidate the width of the floor is measured along lines parallel to it, a little before and behind. The best of
-them is closed first: a passage that was wide only because of that opening is then no door.
+Candidates are the shortest lines across the floor between two faces of its walls. A doorway is narrowest between two
+faces that are the nearest walls of the middle of the line between them: a circle over that line is free of walls (a
+critical point of the Voronoi diagram of the walls, Thrun 1998). At each the width of the floor is measured along lines
+parallel to it, a little before and behind. The best of them is closed first: a passage that was wide only because of
+that opening is then no door.
 
 Door frames of a pixel or two that straight walls would lose are kept; doorways that thick lines narrow are widened.
 """
@@ -16,11 +19,10 @@ import numpy as np
 import shapely
 from shapely.geometry import LineString, Point, Polygon
 
-from mecp_env.core.carriers import Array, Ints
-from mecp_env.floorplans.door_candidates import STRAIGHT, crossings, wall_faces
-from mecp_env.floorplans.furniture import without_furniture
+from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.errors import LayoutError
+from mecp_env.floorplans.floor import largest_part, without_furniture
 from mecp_env.floorplans.options import Crossing, PlanOptions
-from mecp_env.floorplans.reachable_floor import largest_part
 
 STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide
@@ -41,6 +43,11 @@ INTO_WALL_M = 0.15  # how far a post reaches into its wall
 STANDING_OUT_M = (0.08, 0.25)  # how far a post stands out
 FRAME_POST_M, THICKEST_M = 0.1, 0.16  # thickness of a post
 DRIVEN_M = 0.6  # a doorway that the robot can drive through with a margin of 0.08 m
+STRAIGHT = math.radians(12.0)  # a passage nearer to a direction of the building is turned to it
+FREE = 0.9  # share of the circle's radius that is free of walls
+MAX_PAIRS = 3_000_000  # of faces that are near to each other
+CHUNK = 500  # faces whose neighbours are sought at once, which bounds the memory
+LEAST_M = 1e-6  # shorter faces and lines have no direction
 ROOM_M = 0.35  # how far before and behind a doorway its rooms are looked up
 
 
@@ -79,7 +86,8 @@ class Walls:
     @classmethod
     def around(cls, area: Polygon) -> Walls:
         shapely.prepare(area)
-        faces = wall_faces(area)
+        rings = [np.array(ring.coords) for ring in (area.exterior, *area.interiors)]
+        faces = np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])  # the floor on their left
         return cls(area, faces, shapely.STRtree(shapely.linestrings(faces)), np.empty((0, 2, 2)))
 
     def near(self, points: Array, along: Array) -> Array:
@@ -103,7 +111,7 @@ def find_doors(area: Polygon, axes: tuple[float, ...], options: PlanOptions) -> 
 
 def doorways(walls: Walls, axes: tuple[float, ...], options: PlanOptions) -> list[Gap]:
     """The doorways between `walls`, the surest first."""
-    candidates = crossings(walls.area, walls.faces, axes, options.door_width_m)
+    candidates = _crossings(walls, axes, options.door_width_m)
     measured = [measure(crossing, walls, axes, options) for crossing in candidates]
     likely = [gap for gap in measured if gap and _is_door(gap, options)]
     found: list[Gap] = []
@@ -143,6 +151,78 @@ def _crosses(gap: Gap, walls: Walls) -> bool:
     touching = shapely.distance(shapely.linestrings(closed), LineString(gap.closing)) < 0.02
     same = np.linalg.norm(closed.mean(axis=1) - gap.centre, axis=1) < SAME_DOOR_M
     return bool(np.any(touching | same))
+
+
+def _crossings(walls: Walls, axes: tuple[float, ...], width_m: tuple[float, float]) -> list[Crossing]:
+    """Lines across the floor between `walls` that are as long as a doorway is wide.
+
+    Each is square to a face at one of its ends, or along one of `axes`, the directions (rad) of the building.
+    Raises LayoutError for far too many faces.
+    """
+    faces = walls.faces[np.linalg.norm(walls.faces[:, 1] - walls.faces[:, 0], axis=1) > LEAST_M]
+    tree = shapely.STRtree(shapely.linestrings(faces))
+    i, j = _near(tree, faces, width_m[1])
+    lines = shapely.shortest_line(tree.geometries[i], tree.geometries[j])
+    a, b = _across(faces[i], faces[j], shapely.get_coordinates(lines).reshape(-1, 2, 2))
+    middle, width = (a + b) / 2.0, np.linalg.norm(b - a, axis=1)
+    fits = (width >= max(width_m[0], LEAST_M)) & (width <= width_m[1])
+    i, j, a, b, middle, width = (column[fits] for column in (i, j, a, b, middle, width))
+    along = (b - a) / width[:, None]
+    fits = _is_square(along, faces[i], faces[j], axes) & shapely.contains_xy(walls.area, middle)
+    clear = tree.query_nearest(shapely.points(middle[fits]), all_matches=False, return_distance=True)[1]
+    fits[fits] = clear > FREE * 0.5 * width[fits]
+    return [Crossing(*pair) for pair in zip(middle[fits], along[fits], strict=True)]
+
+
+def _near(tree: shapely.STRtree, faces: Array, most_m: float) -> tuple[Ints, Ints]:
+    """Pairs of faces at most so far apart, each in front of the other. Raises LayoutError for far too many."""
+    near, count = [np.empty((2, 0), np.int64)], 0
+    for first in range(0, len(faces), CHUNK):
+        i, j = tree.query(tree.geometries[first : first + CHUNK], predicate="dwithin", distance=most_m)
+        count += len(i)
+        if count > MAX_PAIRS:
+            raise LayoutError(f"the floor has more than {MAX_PAIRS} pairs of edges within {most_m:g} m")
+        i, j = (i + first)[i + first < j], j[i + first < j]
+        near.append(np.stack([i, j])[:, _is_in_front(faces[i], faces[j]) & _is_in_front(faces[j], faces[i])])
+    i, j = np.concatenate(near, axis=1)
+    return i, j
+
+
+def _is_in_front(faces: Array, others: Array) -> Bools:
+    """Whether (n,) an end of each of `others` (n,2,2) is on the floor's side of the line through its face."""
+    x, y = np.moveaxis(faces[:, 1] - faces[:, 0], 1, 0)
+    off = others - faces[:, :1]
+    in_front: Bools = (x[:, None] * off[..., 1] - y[:, None] * off[..., 0]).max(axis=1) > LEAST_M
+    return in_front
+
+
+def _across(first: Array, second: Array, shortest: Array) -> tuple[Array, Array]:
+    """Ends (n,2) of the `shortest` line (n,2,2) from each of the faces `first` (n,2,2) to one of `second`.
+
+    Faces that are opposite each other and nearly parallel have many; it is the one in the middle.
+    """
+    a, b = shortest[:, 0].copy(), shortest[:, 1].copy()
+    step, turn = first[:, 1] - first[:, 0], second[:, 1] - second[:, 0]
+    share = np.einsum("nkc,nc->nk", second - first[:, :1], step) / np.sum(step**2, axis=1)[:, None]
+    low, high = np.clip(np.sort(share, axis=1), 0.0, 1.0).T
+    cosine = np.sum(step * turn, axis=1) / np.linalg.norm(step, axis=1) / np.linalg.norm(turn, axis=1)
+    opposite = (np.abs(cosine) > math.cos(STRAIGHT)) & (high > low)
+    where = (low + high) / 2.0
+    on_second = (where - share[:, 0]) / np.where(opposite, share[:, 1] - share[:, 0], 1.0)
+    a[opposite] = (first[:, 0] + where[:, None] * step)[opposite]
+    b[opposite] = (second[:, 0] + on_second[:, None] * turn)[opposite]
+    return a, b
+
+
+def _is_square(along: Array, first: Array, second: Array, axes: tuple[float, ...]) -> Bools:
+    """Whether (n,) the unit vectors `along` (n,2) are square to one of two faces each, or along one of `axes`."""
+    faces = np.stack([first, second], axis=1)
+    step = faces[:, :, 1] - faces[:, :, 0]
+    sine = np.einsum("nc,nfc->nf", along, step / np.linalg.norm(step, axis=2)[..., None])
+    heading = np.arctan2(along[:, 1], along[:, 0])[:, None] - np.array(axes)
+    off = np.mod(heading + math.pi / 4.0, math.pi / 2.0) - math.pi / 4.0
+    square: Bools = (np.abs(sine) < math.sin(STRAIGHT)).any(axis=1) | (np.abs(off) < STRAIGHT).any(axis=1)
+    return square
 
 
 def measure(

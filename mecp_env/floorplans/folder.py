@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import warnings
-from collections.abc import Iterator
+from collections.abc import Collection
 from pathlib import Path
 
 from mecp_env.core.errors import ConfigError, LayoutError, PlanWarning
@@ -13,11 +13,8 @@ from mecp_env.floorplans.map_server import image_of
 
 JSON, YAML, IMAGES = (".json",), (".yaml", ".yml"), (".png", ".pgm", ".ppm", ".pbm", ".bmp", ".tif", ".tiff")
 ENDINGS = {"layout": JSON, "houseexpo": JSON, "map_server": YAML, "image": IMAGES, "labelled": IMAGES}  # of each kind
-OF_A_RUN = (
-    "belief.yaml",
-    "metrics.json",
-    "trajectory.tum",
-)  # in a folder of `mecp-env demo`, where one of many JSON files is a plan
+OF_A_RUN = ("belief.yaml", "metrics.json", "trajectory.tum")  # in a folder of `mecp-env demo`
+PER_PIXEL = "; images are taken where resolution_m gives their metres per pixel"
 MAX_FILES = 100_000  # in a folder and those in it, plans or not
 
 
@@ -29,48 +26,24 @@ def plan_files(folder: Path, kind: str | None = None, images: bool = False) -> t
     ConfigError for a folder of a run, without plans, or with too many files, and LayoutError for a link that leaves it.
     """
     _refuse_run(folder)
-    endings = ENDINGS.get(kind or "", (*JSON, *YAML, *(IMAGES if images else ())))
-    likely = _likely(folder, endings)
-    reasons = {path: reason for path in likely if (reason := _why_no_plan(path))}
-    _tell(folder, reasons)
-    plans = tuple(path for path in likely if path not in reasons)
+    endings = ENDINGS.get(str(kind), (*JSON, *YAML, *(IMAGES if images else ())))
+    named = {image_of(path) for path in _files(folder, YAML)}
+    reasons = left_out(folder, kind)
+    first = _tell(folder, reasons) if reasons else ""
+    plans = tuple(path for path in _files(folder, endings) if path.resolve() not in named and path not in reasons)
     if not plans:
-        raise ConfigError(f"plan: {folder}, {_nothing(reasons, endings, images)}")
+        none = f"none of {len(reasons)} files in it is a plan, {first}" * bool(reasons)
+        none = none or f"no file in it ends in {', '.join(endings)}"
+        raise ConfigError(f"plan: {folder}, {none}{PER_PIXEL * (not images)}")
     return plans
 
 
-def _likely(folder: Path, endings: tuple[str, ...]) -> list[Path]:
-    """The files that end as plans do, in the order of their paths, without the images that a yaml file names."""
-    files = sorted(_files(folder), key=lambda path: path.relative_to(folder).parts)
-    named = {image_of(path) for path in files if path.suffix.lower() in YAML}
-    return [path for path in files if path.suffix.lower() in endings and path.resolve() not in named]
-
-
-def _nothing(reasons: dict[Path, str], endings: tuple[str, ...], images: bool) -> str:
-    hint = "" if images else "; images are taken where resolution_m gives their metres per pixel"
-    if not reasons:
-        return f"no file in it ends in {', '.join(endings)}{hint}"
+def _tell(folder: Path, reasons: dict[Path, str]) -> str:
+    """Warn of the files that are left out, with their number and the first; what that is."""
     path, reason = next(iter(reasons.items()))
-    return f"none of {len(reasons)} files in it is a plan, as {path.name}: {reason}{hint}"
-
-
-def _why_no_plan(path: Path) -> str:
-    return why_no_plan(path) if path.suffix.lower() in (*JSON, *YAML) else ""
-
-
-def _tell(folder: Path, reasons: dict[Path, str]) -> None:
-    """Warn of the files that are left out, with their number and what the first is."""
-    if reasons:
-        first = next(iter(reasons))
-        said = f"{len(reasons)} other file{'s' * (len(reasons) > 1)} left out, as {first.name}: {reasons[first]:.200}"
-        warnings.warn(f"{folder}: {said}", PlanWarning, stacklevel=4)
-
-
-def left_out(folder: Path, kind: str | None = None) -> dict[Path, str]:
-    """The JSON and yaml files in a folder and those in it that are no plans, and why. Raises as `plan_files`."""
-    endings = ENDINGS.get(kind or "", (*JSON, *YAML))
-    files = (path for path in sorted(_files(folder)) if path.suffix.lower() in endings)
-    return {path: reason for path in files if (reason := _why_no_plan(path))}
+    said = f"{len(reasons)} other file{'s' * (len(reasons) > 1)} left out, as {path.name}: {reason:.200}"
+    warnings.warn(f"{folder}: {said}", PlanWarning, stacklevel=4)
+    return f"as {path.name}: {reason}"
 
 
 def _refuse_run(folder: Path) -> None:
@@ -81,16 +54,26 @@ def _refuse_run(folder: Path) -> None:
         )
 
 
-def _files(folder: Path) -> Iterator[Path]:
-    """All files that are not hidden; links to folders are not followed."""
-    root, count = folder.resolve(), 0
+def left_out(folder: Path, kind: str | None = None) -> dict[Path, str]:
+    """The JSON and yaml files in a folder and those in it that are no plans, and why. Raises as `plan_files`."""
+    endings = set(ENDINGS.get(kind or "", (*JSON, *YAML))) - set(IMAGES)
+    return {path: reason for path in _files(folder, endings) if (reason := why_no_plan(path))}
+
+
+def _files(folder: Path, endings: Collection[str]) -> list[Path]:
+    """All files with such endings that are not hidden, in the order of their paths; links to folders are not followed.
+
+    Raises as `plan_files`.
+    """
+    root, count, found = folder.resolve(), 0, list[Path]()
     for place, folders, names in os.walk(folder):
         folders[:] = (name for name in folders if not name.startswith("."))
         count += len(names)
         if count > MAX_FILES:
             raise ConfigError(f"plan: {folder} has more than {MAX_FILES} files")
         paths = [Path(place, name) for name in (*folders, *names) if not name.startswith(".")]
-        outside = (path for path in paths if path.is_symlink() and not path.resolve().is_relative_to(root))
-        for path in outside:
-            raise LayoutError(f"{path}: a link that leaves the folder of the plans")
-        yield from paths[len(folders) :]
+        for path in filter(Path.is_symlink, paths):
+            if not path.resolve().is_relative_to(root):
+                raise LayoutError(f"{path}: a link that leaves the folder of the plans")
+        found += paths[len(folders) :]
+    return sorted(path for path in found if path.suffix.lower() in endings)

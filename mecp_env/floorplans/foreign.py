@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,11 +30,9 @@ BY_ENDING = {
     ".webp": ("a WebP picture", AS_PNG),
     ".gif": ("a GIF picture", AS_PNG),
     ".zip": ("a packed archive", UNPACK),
-    ".gz": ("a packed file", UNPACK),
-    **dict.fromkeys((".tgz", ".tar", ".7z", ".rar", ".bz2", ".xz", ".zst"), ("a packed file", UNPACK)),
+    **dict.fromkeys((".gz", ".tgz", ".tar", ".7z", ".rar", ".bz2", ".xz", ".zst"), ("a packed file", UNPACK)),
     ".bag": ("a recording of ROS", MAP),
-    ".db3": ("a recording of ROS 2", MAP),
-    ".mcap": ("a recording of ROS 2", MAP),
+    **dict.fromkeys((".db3", ".mcap"), ("a recording of ROS 2", MAP)),
     ".world": ("a world of Gazebo or Stage", SAVE),
     ".sdf": ("a world or model of Gazebo (SDF)", SAVE),
     ".urdf": ("a robot or scene description (URDF)", SAVE),
@@ -80,8 +77,10 @@ def _sentence(what: str, remedy: str) -> str:
     return f"this is {what}; {SUPPORTED}: {remedy}"
 
 
-def of_json(document: dict[str, Any]) -> str:
+def of_json(document: Any) -> str:
     """What a JSON document is that is neither a layout nor of HouseExpo, in a sentence; empty where it may be one."""
+    if not isinstance(document, dict):
+        return OTHER_JSON
     if "type" in document and document.keys() & GEOJSON_FIELDS:
         return _sentence("GeoJSON", DRAW)
     if "proceduralParameters" in document or {"walls", "objects", "rooms"} <= document.keys():
@@ -101,24 +100,13 @@ def of_yaml(fields: Any) -> str:
 
 def why_no_plan(path: Path) -> str:
     """Why a JSON or yaml file in a folder is no plan; empty for one that is, or means to be."""
-    read, judge, marks = KINDS.get(path.suffix.lower(), KINDS[".yaml"])
+    is_json = path.suffix.lower() == ".json"
     try:
         data = read_bytes(path, MAX_READ)
     except LayoutError as error:
         return "" if path.is_symlink() else str(error)
     try:
-        document = read(data)
+        return of_json(json.loads(data)) if is_json else of_yaml(yaml.safe_load(data))
     except (ValueError, yaml.YAMLError, RecursionError, TypeError):
-        return "" if all(mark in data for mark in marks) else "damaged, and without the fields of a plan"
-    return judge(document)
-
-
-def _json_reason(document: Any) -> str:
-    return of_json(document) if isinstance(document, dict) else OTHER_JSON
-
-
-KINDS: dict[str, tuple[Callable[[bytes], Any], Callable[[Any], str], tuple[bytes, ...]]] = {
-    ".json": (json.loads, _json_reason, ()),
-    ".yaml": (yaml.safe_load, of_yaml, (b"image:", b"resolution:")),
-    ".yml": (yaml.safe_load, of_yaml, (b"image:", b"resolution:")),
-}
+        is_meant = is_json or (b"image:" in data and b"resolution:" in data)
+        return "" if is_meant else "damaged, and without the fields of a plan"

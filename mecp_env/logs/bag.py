@@ -15,12 +15,10 @@ import numpy as np
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.settings import guess
-from mecp_env.logs.bag2_parts import unpacked_message
-from mecp_env.logs.bag_chunks import check_chunks
-from mecp_env.logs.carmen import MOST_BEAMS
+from mecp_env.logs.bag_parts import check_parts, unpacked_message
 from mecp_env.logs.clock import note_delay
 from mecp_env.logs.frames import Frames, Transform, ZeroQuaternion, driven, planar, transform
-from mecp_env.logs.readings import POSE_BYTES, Budget, Geometry, Recording, Sweep, Track
+from mecp_env.logs.recording import MOST_BEAMS, POSE_BYTES, Geometry, ReadOptions, Recording, Sweep, Track
 
 SCAN, ECHOES = "sensor_msgs/msg/LaserScan", "sensor_msgs/msg/MultiEchoLaserScan"
 ODOMETRY = "nav_msgs/msg/Odometry"
@@ -29,7 +27,7 @@ TILTED = (
     "warning: by most quaternions of the odometry the robot lies on its side: they are x, y, z, w, perhaps w is first "
     "here; --odometry none does without"
 )
-LIKE = {SCAN: (SCAN, ECHOES)}  # types that are read as another one
+SEVERAL = "; named more than once, it merges several"
 FRAMES = ("tf2_msgs/msg/TFMessage", "tf/msg/tfMessage")
 FRAME_TOPICS = ("/tf", "/tf_static")
 REPAIR = "`rosbag reindex` (ROS 1), `ros2 bag reindex` or `mcap recover` may repair it"
@@ -37,8 +35,6 @@ SUFFIXES = (".bag", ".db3", ".mcap")
 MOST_LASERS = 8
 UPRIGHT = math.cos(math.radians(45.0))  # a robot that is tilted more falls over
 LEVEL = math.cos(math.radians(5.0))  # a laser that is tilted more does not measure level
-Choice = Sequence[str]
-Taker = Callable[[Any, float], None]
 
 
 @dataclass(slots=True, eq=False)
@@ -47,15 +43,11 @@ class BagLog:
 
     recording: Recording
     frames: Frames
+    kinds: dict[str, str] = field(default_factory=dict)  # of the topics with messages
     robot_frame: str = ""
     speeds: Track = field(default_factory=Track)  # m/s, m/s, rad/s of the messages with odometry
     tilted: int = 0  # messages with odometry of a robot that is not upright
     lasers: list[str] = field(default_factory=list)  # their frames, in the order of `Sweep.laser`
-
-    @property
-    def used(self) -> list[str]:
-        """The frames of the lasers whose sweeps are kept."""
-        return [self.lasers[laser] for laser in sorted({sweep.laser for sweep in self.recording.sweeps})]
 
     def scan(self, message: Any, received: float) -> None:
         """A sweep. Raises `ValueError` for a damaged one."""
@@ -65,21 +57,21 @@ class BagLog:
             return
         least, most = float(message.range_min), float(message.range_max)
         least = least if math.isfinite(least) else 0.0
-        view = float(message.angle_min), _step(message)
-        if not (len(ranges) <= MOST_BEAMS and all(map(math.isfinite, view))):
+        start, step = float(message.angle_min), _step(message)
+        if not (len(ranges) <= MOST_BEAMS and math.isfinite(start) and math.isfinite(step)):
             raise ValueError
-        geometry = Geometry(len(ranges), *view, least, most if most > least else math.inf)
-        laser = self._laser(_name(message.header.frame_id))
-        off = abs(view[0] + (len(ranges) - 1) * view[1] - message.angle_max) > 2.0 * abs(view[1])
+        geometry = Geometry(len(ranges), start, step, least, most if most > least else math.inf)
+        laser = self.laser(_name(message.header.frame_id))
+        off = abs(start + (len(ranges) - 1) * step - message.angle_max) > 2.0 * abs(step)
         self.recording.counts["scans whose last beam is not at their angle_max"] += off
-        self.recording.add(Sweep(self._stamp(message.header, received), ranges, geometry, order=received, laser=laser))
+        self.recording.add(Sweep(self.stamp(message.header, received), ranges, geometry, order=received, laser=laser))
 
-    def _stamp(self, header: Any, received: float) -> float:
+    def stamp(self, header: Any, received: float) -> float:
         """The stamp of a message; when it was received, counted, for a driver that sets none."""
         self.recording.counts["messages without a stamp, as received"] += not _seconds(header) > 0.0
         return _stamp(header, received)
 
-    def _laser(self, frame: str) -> int:
+    def laser(self, frame: str) -> int:
         """Which laser has this frame. Raises `LogError` for too many."""
         if frame not in self.lasers:
             if len(self.lasers) == MOST_LASERS:
@@ -87,18 +79,13 @@ class BagLog:
             self.lasers.append(frame)
         return self.lasers.index(frame)
 
-    def mounts(self, lasers: Sequence[int], robot: str) -> dict[int, Transform]:
-        """The poses in the frame of the robot of those lasers that have one."""
-        found = {laser: self.frames.mount(self.lasers[laser], robot) for laser in lasers}
-        return {laser: T for laser, T in found.items() if T is not None}
-
     def odometry(self, message: Any, received: float) -> None:
         """A pose of the robot by its wheels."""
         T = transform(message.pose.pose.position, message.pose.pose.orientation)
         self.robot_frame = self.robot_frame or _name(message.child_frame_id)
         self.tilted += T[2, 2] < UPRIGHT
-        self.recording.budget.take(2 * POSE_BYTES)
-        stamp, twist = self._stamp(message.header, received), message.twist.twist
+        self.recording.take(2 * POSE_BYTES)
+        stamp, twist = self.stamp(message.header, received), message.twist.twist
         self.recording.odometry.add(stamp, planar(T), received)
         self.speeds.add(stamp, np.array([twist.linear.x, twist.linear.y, twist.angular.z]), received)
 
@@ -110,14 +97,32 @@ class BagLog:
             except ValueError as error:
                 self.damaged(error, "transforms")
                 continue
-            self.frames.add(
-                _name(one.header.frame_id), _name(one.child_frame_id), T, _stamp(one.header, received), received
-            )
+            names = _name(one.header.frame_id), _name(one.child_frame_id)
+            self.frames.add(*names, T, _stamp(one.header, received), received)
 
     def damaged(self, error: Exception, what: str) -> None:
         """Count what cannot be used, by its fault."""
         named = f"{what} with a quaternion of zeros" if isinstance(error, ZeroQuaternion) else f"damaged {what}"
         self.recording.counts[named] += 1
+
+    def topics(self, asked: Sequence[str], option: str, several: str, kind: str, *like: str) -> list[str]:
+        """The topics of a type, or of one like it: as asked, or the only one; none without any. Raises `LogError`."""
+        found = sorted(topic for topic, its in self.kinds.items() if its in (kind, *like))
+        for topic in (topic for topic in asked if topic not in found):
+            raise LogError(f"{option}: no {kind} on {topic!r:.80}{guess(topic, found)}; topics: {self.listed()}")
+        if not asked and len(found) > 1:
+            many = f"{len(found)} topics of type {kind}"
+            raise LogError(f"{option}: {many}, one must be named: {', '.join(found)}{several}")
+        return list(dict.fromkeys(asked)) or found
+
+    @property
+    def used(self) -> dict[int, str]:
+        """The lasers whose sweeps are kept, with their frames."""
+        return {laser: self.lasers[laser] for laser in sorted({sweep.laser for sweep in self.recording.sweeps})}
+
+    def listed(self) -> str:
+        """All topics with their types, in words."""
+        return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(self.kinds.items()))[:600] or "none"
 
 
 def is_bag(path: Path) -> bool:
@@ -133,70 +138,45 @@ def _files(path: Path) -> list[Path]:
     return [file for file in files if file.suffix in SUFFIXES]
 
 
-def read_bag(
-    path: Path, scan_topics: Choice = (), odometry_topics: Choice = (), frame: str | None = None, several: bool = False
-) -> Recording:
-    """What is in a bag; `frame` names the laser to read. Raises `LogError`.
-
-    Several topics of odometry are an error unless one is asked for, or any will do (`several`).
-    """
+def read_bag(path: Path, options: ReadOptions) -> Recording:
+    """What is in a bag. Raises `LogError`."""
     open_bag = _opener()
-    recording = Recording(path.name, budget=Budget.of(_size(path)))
+    parts = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
+    recording = Recording(path.name, sum(file.stat().st_size for file in parts))
     for file in _files(path):
-        check_chunks(file, recording.budget.most)
-    log, kinds = BagLog(recording, Frames(recording.budget)), dict[str, str]()
+        check_parts(file, recording.most)
+    log = BagLog(recording, Frames(recording.take))
     try:
         with open_bag(_files(path)) as bag:
-            used = [connection for connection in bag.connections if connection.msgcount] or bag.connections
-            kinds |= {connection.topic: connection.msgtype for connection in used}
-            _read(bag, log, _takers(kinds, log, scan_topics, odometry_topics, several))
+            _read(bag, log, options)
     except LogError:
         raise
     except Exception as error:  # damaged bytes may raise anything
-        if not log.recording.sweeps:
+        if not recording.sweeps:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             raise LogError(f"no bag, or damaged; {REPAIR} ({reason:.160})") from None
-        log.recording.counts["bag cut short"] += 1
-    _choose_frame(log, frame)
-    _find_odometry(log, kinds)
-    note_delay(log.recording)
+        recording.counts["bag cut short"] += 1
+    _choose_frame(log, options.scan_frame)
+    _find_odometry(log)
+    note_delay(recording)
     _mount(log)
-    return log.recording
+    return recording
 
 
 def _opener() -> Callable[[list[Path]], Any]:
     """What opens the files of a bag. Raises `LogError` without the library."""
     try:
-        reader = importlib.import_module("rosbags.highlevel")
-        stores = importlib.import_module("rosbags.typesys")
+        highlevel, typesys = map(importlib.import_module, ("rosbags.highlevel", "rosbags.typesys"))
     except ImportError:
         raise LogError('to read bags takes the package rosbags: pip install "mecp_env[logs]"') from None
-    return partial(reader.AnyReader, default_typestore=stores.get_typestore(stores.Stores.LATEST))
+    return partial(highlevel.AnyReader, default_typestore=typesys.get_typestore(typesys.Stores.LATEST))
 
 
-def _size(path: Path) -> int:
-    """Bytes of a file, or of all files of a folder."""
-    files = [path] if path.is_file() else [file for file in path.iterdir() if file.is_file()]
-    return sum(file.stat().st_size for file in files)
-
-
-def _takers(
-    kinds: dict[str, str], log: BagLog, scan_topics: Choice, odometry_topics: Choice, several: bool
-) -> dict[str, Taker]:
-    """What takes the messages of each topic that is read. Raises `LogError`."""
-    scans = _topics(kinds, SCAN, scan_topics, "--scan-topic")
-    if not scans:
-        raise LogError(f"no laser: no topic of type {SCAN}; topics: {_listed(kinds)}")
-    any_one = [topic for topic, kind in kinds.items() if kind == ODOMETRY][:1] if several else []
-    odometry = _topics(kinds, ODOMETRY, odometry_topics or any_one, "--odometry-topic")
-    takers: dict[str, Taker] = dict.fromkeys(
-        (topic for topic, kind in kinds.items() if kind in FRAMES and topic.endswith(FRAME_TOPICS)), log.tf
-    )
-    return takers | dict.fromkeys(scans, log.scan) | dict.fromkeys(odometry, log.odometry)
-
-
-def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
-    """All messages of the chosen topics."""
+def _read(bag: Any, log: BagLog, options: ReadOptions) -> None:
+    """All messages of the topics that are read. Raises `LogError`."""
+    used = [connection for connection in bag.connections if connection.msgcount] or bag.connections
+    log.kinds |= {connection.topic: connection.msgtype for connection in used}
+    takers = _takers(log, options)
     for connection, received, data in bag.messages([c for c in bag.connections if c.topic in takers]):
         try:
             message = bag.deserialize(unpacked_message(data), connection.msgtype)
@@ -207,20 +187,23 @@ def _read(bag: Any, log: BagLog, takers: dict[str, Taker]) -> None:
             log.damaged(error, "messages")
 
 
-def _topics(kinds: dict[str, str], kind: str, asked: Choice, option: str) -> list[str]:
-    """The topics of a type: as asked, or the only one; none without any. Raises `LogError`."""
-    found = sorted(topic for topic, its in kinds.items() if its in LIKE.get(kind, (kind,)))
-    for topic in asked:
-        if topic not in found:
-            raise LogError(f"{option}: no {kind} on {topic!r:.80}{guess(topic, found)}; topics: {_listed(kinds)}")
-    if not asked and len(found) > 1:
-        several = "; named more than once, it merges several" if kind == SCAN else ""
-        raise LogError(f"{option}: {len(found)} topics of type {kind}, one must be named: {', '.join(found)}{several}")
-    return list(dict.fromkeys(asked)) or found
+def _takers(log: BagLog, options: ReadOptions) -> dict[str, Callable[[Any, float], None]]:
+    """What takes the messages of each topic that is read. Raises `LogError`.
 
-
-def _listed(kinds: dict[str, str]) -> str:
-    return ", ".join(f"{topic} ({kind})" for topic, kind in sorted(kinds.items()))[:600] or "none"
+    Several topics of odometry are an error unless one is asked for, or none is used.
+    """
+    scans = log.topics(options.scan_topics, "--scan-topic", SEVERAL, SCAN, ECHOES)
+    if not scans:
+        raise LogError(f"no laser: no topic of type {SCAN}; topics: {log.listed()}")
+    asked = [options.odometry_topic] if options.odometry_topic else []
+    if not options.use_odometry:
+        asked = asked or [topic for topic, kind in log.kinds.items() if kind == ODOMETRY][:1]
+    frames = [topic for topic, kind in log.kinds.items() if kind in FRAMES and topic.endswith(FRAME_TOPICS)]
+    return {
+        **dict.fromkeys(frames, log.tf),
+        **dict.fromkeys(scans, log.scan),
+        **dict.fromkeys(log.topics(asked, "--odometry-topic", "", ODOMETRY), log.odometry),
+    }
 
 
 def _ranges(message: Any) -> Array:
@@ -259,15 +242,15 @@ def _choose_frame(log: BagLog, frame: str | None) -> None:
     if _name(frame) not in log.lasers:
         there = ", ".join(log.lasers) or "none"
         raise LogError(f"--scan-frame: no scan in {frame!r:.80}{guess(frame, log.lasers)}; frames of scans: {there}")
-    chosen = log.lasers.index(_name(frame))
-    log.recording.counts["scans of another frame"] += sum(s.laser != chosen for s in log.recording.sweeps)
-    log.recording.sweeps = [sweep for sweep in log.recording.sweeps if sweep.laser == chosen]
+    chosen, found = log.lasers.index(_name(frame)), log.recording.sweeps
+    log.recording.sweeps = [sweep for sweep in found if sweep.laser == chosen]
+    log.recording.counts["scans of another frame"] += len(found) - len(log.recording.sweeps)
 
 
-def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
+def _find_odometry(log: BagLog) -> None:
     """Odometry from the frames, where no message has it; a note of where it was looked for."""
     recording = log.recording
-    edge = log.frames.odometry(log.used)
+    edge = log.frames.odometry(log.used.values())
     if 2 * log.tilted > len(recording.odometry.t):
         recording.notes.append(TILTED)
     if recording.odometry.moves:
@@ -275,40 +258,51 @@ def _find_odometry(log: BagLog, kinds: dict[str, str]) -> None:
     if np.any(log.speeds.poses):
         recording.odometry = driven(log.speeds)
         recording.notes.append("odometry is made of the speeds in its messages, whose poses never change")
-    elif edge is not None and (log.frames.moving[edge].moves or not recording.odometry.t):
+    elif edge and (log.frames.moving[edge].moves or not recording.odometry.t):
         recording.odometry, log.robot_frame = log.frames.moving[edge], edge[1]
         recording.notes.append(f"odometry is that of the frames {edge[0]} -> {edge[1]}")
     elif not recording.odometry.t:
-        recording.notes.append(NO_ODOMETRY + f"topics: {_listed(kinds)}; frames: {log.frames.listed()}")
+        recording.notes.append(NO_ODOMETRY + f"topics: {log.listed()}; frames: {log.frames.listed()}")
 
 
 def _mount(log: BagLog) -> None:
     """The mounting poses, where the bag has them. Raises `LogError` where one of several lasers has none."""
-    recording, robot = log.recording, log.frames.robot(log.robot_frame)
-    used = sorted({sweep.laser for sweep in recording.sweeps})
-    known = log.mounts(used, robot)
-    _turn_over(recording, {laser for laser, T in known.items() if T[2, 2] < 0.0})
+    recording, used, robot = log.recording, log.used, log.frames.robot(log.robot_frame)
+    known = {laser: T for laser, frame in used.items() if (T := log.frames.mount(frame, robot)) is not None}
+    _turn_over(recording, known)
+    _miss_mounts(log, [frame for laser, frame in used.items() if laser not in known], robot or "base_link")
+    mounts = [planar(known.get(laser, np.eye(4))) for laser in range(len(log.lasers))]
     if len(used) > 1:
-        _check_mounts(log, [log.lasers[laser] for laser in used if laser not in known], robot)
-        recording.mounts = [planar(known.get(laser, np.eye(4))) for laser in range(len(log.lasers))]
-    elif known:
-        recording.T_robot_laser = planar(known[used[0]])
+        recording.mounts = mounts
     elif used:
-        recording.T_robot_laser = np.zeros(3)
-        recording.notes.append(_centred(log, log.lasers[used[0]], robot))
-    recording.notes += _tilted(log, known) + _loose(log, used, robot)
+        recording.T_robot_laser = mounts[next(iter(used))]
+    recording.notes += _tilted(log, known) + _loose(log, robot)
 
 
-def _loose(log: BagLog, used: list[int], robot: str) -> list[str]:
+def _turn_over(recording: Recording, mounts: dict[int, Transform]) -> None:
+    """A laser that hangs upside down turns the other way."""
+    for sweep in recording.sweeps:
+        if sweep.laser in mounts and mounts[sweep.laser][2, 2] < 0.0:
+            sweep.mirror()
+            recording.counts["scans of a laser upside down, mirrored"] += 1
+
+
+def _loose(log: BagLog, robot: str) -> list[str]:
     """Which frames of the lasers move on the robot."""
-    names = {name for laser in used for name in log.frames.moving_below(log.lasers[laser], robot)}
+    names = {name for frame in log.used.values() for name in log.frames.moving_below(frame, robot)}
     return [f"warning: {name!r:.80} moves on the robot with the laser: its first pose counts" for name in sorted(names)]
 
 
-def _centred(log: BagLog, laser: str, robot: str) -> str:
-    """That the only laser has no mounting pose."""
-    there = f"{laser!r:.80} in {robot or 'base_link'!r:.80}; frames: {log.frames.listed()}"
-    return f"the laser is taken as centred: no frame says the mounting pose of {there}"
+def _miss_mounts(log: BagLog, lost: list[str], robot: str) -> None:
+    """Note that the only laser has no mounting pose. Raises `LogError` where lasers of several have none."""
+    if lost and len(log.used) > 1:
+        raise LogError(
+            f"scans of {len(log.lasers)} frames ({', '.join(log.lasers)}), and no mounting pose in {robot!r:.80} of "
+            f"{', '.join(lost)}; --scan-frame names one; frames: {log.frames.listed()}"
+        )
+    centred = "the laser is taken as centred: no frame says the mounting pose of"
+    for frame in lost:
+        log.recording.notes.append(f"{centred} {frame!r:.80} in {robot!r:.80}; frames: {log.frames.listed()}")
 
 
 def _tilted(log: BagLog, mounts: dict[int, Transform]) -> list[str]:
@@ -319,19 +313,3 @@ def _tilted(log: BagLog, mounts: dict[int, Transform]) -> list[str]:
         for frame, z in level.items()
         if z < LEVEL
     ]
-
-
-def _turn_over(recording: Recording, upside_down: set[int]) -> None:
-    """A laser that hangs upside down turns the other way."""
-    recording.counts["scans of a laser upside down, mirrored"] += sum(s.laser in upside_down for s in recording.sweeps)
-    recording.sweeps = [s.mirrored() if s.laser in upside_down else s for s in recording.sweeps]
-
-
-def _check_mounts(log: BagLog, lost: list[str], robot: str) -> None:
-    """Raise `LogError` where lasers have no mounting pose."""
-    if lost:
-        there = f"frames: {log.frames.listed()}"
-        raise LogError(
-            f"scans of {len(log.lasers)} frames ({', '.join(log.lasers)}), and no mounting pose in "
-            f"{robot or 'base_link'!r:.80} of {', '.join(lost)}; --scan-frame names one; {there}"
-        )

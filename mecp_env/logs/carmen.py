@@ -17,10 +17,10 @@ import io
 import math
 import zlib
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import IO
 
 import numpy as np
 
@@ -28,16 +28,16 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.core.settings import guess
-from mecp_env.logs.readings import POSE_BYTES, SWEEP_BYTES, Budget, Geometry, Recording, Sweep, Track
+from mecp_env.logs.recording import MOST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
 
 MOST_BYTES = 2**30
 PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
 MAGIC = b"\x1f\x8b"  # of a packed file, whatever its name: browsers unpack files and keep the name
 BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
-MOST_BEAMS = 20_000
 NAMED = 5  # kinds of other lines that an error names
 MOST_LINES = 10**6  # and one more for each byte of the file
 OTHER_LASERS = {"RLASER", "LASER3", "LASER4", *(f"{kind}LASER{n}" for kind in ("RAW", "ROBOT") for n in "2345")}
+LASERS = ("ROBOTLASER1", "FLASER", "RAWLASER1")  # the first are preferred
 MOUNT = ("robot_frontlaser_offset", "robot_frontlaser_side_offset", "robot_frontlaser_angular_offset")
 WIDE_DEG = {541: 270.0, 1081: 270.0, 682: 239.77, 683: 240.0}  # an FLASER line has no angles: these are no SICK LMS
 OLD_TAIL, NEW_TAIL = 10, 11  # values behind the readings of a ROBOTLASER1 line: before and since remissions
@@ -47,26 +47,23 @@ OLD_TAIL, NEW_TAIL = 10, 11  # values behind the readings of a ROBOTLASER1 line:
 class CarmenLog:
     """What the lines so far have said."""
 
-    recording: Recording  # but for its sweeps
+    recording: Recording
     field_of_view_deg: float | None  # of FLASER lines; None: by the number of beams
-    sweeps: dict[str, list[Sweep]] = field(default_factory=lambda: {"ROBOTLASER1": [], "FLASER": [], "RAWLASER1": []})
+    kinds: list[str] = field(default_factory=list)  # of the sweeps
     mount: dict[str, float] = field(default_factory=dict)
     line: int = 0
     cut: bool = False  # this line has no end
     others: dict[str, None] = field(default_factory=dict)  # the first kinds of lines that are not read
 
-    @property
-    def counts(self) -> Counter[str]:
-        return self.recording.counts
-
     def read(self, words: list[str]) -> None:
         """Take in one line that is neither empty nor a comment, or count it as damaged."""
+        kind, counts = words[0], self.recording.counts
         try:
-            if words[0] in READERS:
-                READERS[words[0]](self, words)
+            if kind in READERS:
+                READERS[kind](self, words)
             else:
-                self.counts["lines of another laser" if words[0] in OTHER_LASERS else "lines of other messages"] += 1
-                self.others |= {words[0][:20]: None} if len(self.others) < NAMED else {}
+                counts["lines of another laser" if kind in OTHER_LASERS else "lines of other messages"] += 1
+                self.others |= {kind[:20]: None} if len(self.others) < NAMED else {}
         except LogError:
             raise
         except (ValueError, IndexError):
@@ -77,101 +74,73 @@ class CarmenLog:
         if len(words) > 2 and words[1] in MOUNT:
             self.mount[words[1]] = _number(words[2])
 
-    def odom(self, words: list[str]) -> None:
-        """The robot's pose by its wheels."""
-        self.pose(self.recording.odometry, words)
-
-    def truepos(self, words: list[str]) -> None:
-        """The robot's true pose."""
-        self.pose(self.recording.reference, words)
-
-    def pose(self, track: Track, words: list[str]) -> None:
-        """A pose of a track."""
-        self.recording.budget.take(POSE_BYTES)
+    def pose(self, words: list[str]) -> None:
+        """The robot's pose by its wheels, or the true one."""
+        track = self.recording.odometry if words[0] == "ODOM" else self.recording.reference
+        self.recording.take(POSE_BYTES)
         track.add(self.stamp(words, 7), _pose(words, 1), float(self.line))
 
     def stamp(self, words: list[str], at: int) -> float:
         """s; nan for a line without one, whose place in the file counts."""
+        counts = self.recording.counts
         try:
             return _number(words[at])
         except (IndexError, ValueError):
-            if self.cut and not self.counts["lines without a stamp"]:
+            if self.cut and not counts["lines without a stamp"]:
                 raise  # only the last line lacks one: it is cut short
-            self.counts["lines without a stamp"] += 1
+            counts["lines without a stamp"] += 1
             return math.nan
 
-    def sweep(self, kind: str, t: float, ranges: Array, geometry: Geometry, poses: Sequence[Array] = ()) -> None:
-        """Keep a sweep; the poses are those of laser and robot. One without has the place of the odometry before it."""
-        if len(ranges) < 2:
-            raise ValueError
-        self.recording.budget.take(SWEEP_BYTES + 2 * ranges.nbytes)
-        laser, robot = poses or (None, None)
-        before = self.recording.odometry.order
-        order = float(self.line) if poses or not before else before[-1]
-        self.sweeps[kind].append(Sweep(t, ranges, geometry, robot, laser, order=order))
+    def laser(self, words: list[str]) -> None:
+        """A sweep, but for RAWLASER1 with the poses of laser and robot; else with the place of the odometry before."""
+        before, (ranges, tail, values) = self.recording.odometry.order, _parts(words)
+        laser, robot = (_pose(tail, 0), _pose(tail, 3)) if values else (None, None)
+        stamp = self.stamp(tail, values)
+        geometry = self.spread(len(ranges)) if words[0] == "FLASER" else _geometry(words, len(ranges))
+        order = float(self.line) if values or not before else before[-1]
+        self.recording.add(Sweep(stamp, ranges, geometry, robot, laser, order=order))
+        self.kinds.append(words[0])
 
-    def flaser(self, words: list[str]) -> None:
-        """A sweep with the poses of laser and robot."""
-        ranges, tail = _readings(words, 1)
-        geometry = _plain_geometry(len(ranges), self.field_of_view_deg)
-        if len(tail) > 9:
-            raise ValueError
-        poses = _pose(tail, 0), _pose(tail, 3)
-        self.sweep("FLASER", self.stamp(tail, 6), ranges, geometry, poses)
+    def spread(self, beams: int) -> Geometry:
+        """That of an FLASER line: an odd number of beams reaches both ends of the view, an even one the first."""
+        view = math.radians(self.field_of_view_deg or WIDE_DEG.get(beams, 180.0))
+        return Geometry(beams, -0.5 * view, view / max(beams - beams % 2, 1))
 
-    def rawlaser(self, words: list[str]) -> None:
-        """A sweep without a pose."""
-        ranges, tail = _readings(words, 8)
-        tail = tail[1 + _count(tail[0]) :]
-        if len(tail) > 3:
-            raise ValueError
-        self.sweep("RAWLASER1", self.stamp(tail, 0), ranges, _geometry(words, len(ranges)))
-
-    def robotlaser(self, words: list[str]) -> None:
-        """A sweep with the poses of laser and robot, in the old or the new form."""
-        ranges, tail = _readings(words, 8)
-        values = OLD_TAIL
-        if len(tail) not in (OLD_TAIL, OLD_TAIL + 3):
-            tail, values = tail[1 + _count(tail[0]) :], NEW_TAIL
-        if not values <= len(tail) <= values + 3:
-            raise ValueError
-        poses = _pose(tail, 0), _pose(tail, 3)
-        self.sweep("ROBOTLASER1", self.stamp(tail, values), ranges, _geometry(words, len(ranges)), poses)
+    def found(self) -> str:
+        """What there is, in words."""
+        others = [f"the first of others: {', '.join(map(repr, self.others))}"] if self.others else []
+        return ", ".join((f"{self.line} lines", *(f"{n} {what}" for what, n in self.recording.counts.items()), *others))
 
 
 READERS: dict[str, Callable[[CarmenLog, list[str]], None]] = {
     "PARAM": CarmenLog.param,
-    "ODOM": CarmenLog.odom,
-    "TRUEPOS": CarmenLog.truepos,
-    "FLASER": CarmenLog.flaser,
-    "RAWLASER1": CarmenLog.rawlaser,
-    "ROBOTLASER1": CarmenLog.robotlaser,
+    **dict.fromkeys(("ODOM", "TRUEPOS"), CarmenLog.pose),
+    **dict.fromkeys(LASERS, CarmenLog.laser),
 }
 
 
 def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float | None = None) -> Recording:
     """What is in a CARMEN log; `message` is the laser message to read. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
-    data = data if b"\n" in data else data.replace(b"\r", b"\n")
-    recording = Recording(path.name, budget=Budget.of(len(data)))
+    recording = Recording(path.name, len(data))
     log = CarmenLog(recording, field_of_view_deg)
-    for number, is_cut, words in _lines(data, data.startswith(MAGIC), log.counts):
+    for number, is_cut, words in _lines(data, recording.counts):
         if number > MOST_LINES + len(data):
             raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
         log.line, log.cut = number, is_cut
         log.read(words)
     kind = _message(log, message)
-    recording.sweeps = log.sweeps.pop(kind)
+    recording.counts["scans of another message"] += len(log.kinds) - log.kinds.count(kind)
+    recording.sweeps = [sweep for sweep, its in zip(recording.sweeps, log.kinds, strict=True) if its == kind]
     recording.view_assumed = kind == "FLASER" and field_of_view_deg is None
-    recording.counts["scans of another message"] += sum(map(len, log.sweeps.values()))
     recording.T_robot_laser = np.array([log.mount.get(name, 0.0) for name in MOUNT]) if log.mount else None
-    return replace(recording, counts=+recording.counts, budget=Budget.of(0))
+    return recording
 
 
-def _lines(data: bytes, packed: bool, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
+def _lines(data: bytes, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
     """The number, whether it has no end, and the words of each line that is neither empty nor a comment."""
     number, rest = 0, b""
-    for piece in unpacked(data, counts) if packed else _pieces(io.BytesIO(data)):
+    for piece in unpacked(data, counts):
         *lines, rest = (rest + piece).split(b"\n")
         for place, line in enumerate(lines, start=number + 1) if any(lines) else ():
             if line and (words := _words(line)):
@@ -187,17 +156,15 @@ def _words(line: bytes) -> list[str]:
     return [] if words and words[0].startswith("#") else words
 
 
-def _pieces(file: IO[bytes] | gzip.GzipFile) -> Iterator[bytes]:
-    while piece := file.read(PIECE):
-        yield piece
-
-
 def unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
-    """The pieces of a packed file; of one that is cut short, what there is. Raises `LogError`."""
+    """The pieces of a file, unpacked where it is packed; of one that is cut short, what there is. Raises `LogError`."""
+    if not data.startswith(MAGIC):
+        yield from iter(partial(io.BytesIO(data if b"\n" in data else data.replace(b"\r", b"\n")).read, PIECE), b"")
+        return
     left = most = BASE_BYTES + FACTOR * len(data)
     try:
         with gzip.open(io.BytesIO(data)) as file:
-            for piece in _pieces(file):
+            for piece in iter(partial(file.read, PIECE), b""):
                 left -= len(piece)
                 if left < 0:
                     raise LogError(f"it has more than {most} bytes unpacked, too much for its size; unpack it first")
@@ -210,22 +177,16 @@ def unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
 
 def _message(log: CarmenLog, asked: str | None) -> str:
     """The laser message to read: as asked, or that with poses, unless it has less than half of the scans."""
-    counts = {name: len(found) for name, found in log.sweeps.items()}
+    counts = {name: log.kinds.count(name) for name in LASERS}
     if asked is not None:
         if not counts.get(asked):
             there = ", ".join(f"{name} ({n})" for name, n in counts.items() if n) or "none"
             raise LogError(f"--scan-topic: no {asked!r:.40} in the log{guess(asked, counts)}; laser messages: {there}")
         return asked
-    most = max(counts.values())
-    if not most:
-        found = f"no laser: no line of {', '.join(counts)} that can be read ({_found(log)})"
+    if not log.kinds:
+        found = f"no laser: no line of {', '.join(counts)} that can be read ({log.found()})"
         raise LogError("; ".join((found, *log.recording.notes)))
-    return next(name for name, n in counts.items() if 2 * n >= most)
-
-
-def _found(log: CarmenLog) -> str:
-    others = [f"the first of others: {', '.join(map(repr, log.others))}"] if log.others else []
-    return ", ".join((f"{log.line} lines", *(f"{n} {what}" for what, n in log.counts.items()), *others))
+    return next(name for name, n in counts.items() if 2 * n >= max(counts.values()))
 
 
 def _number(word: str) -> float:
@@ -236,6 +197,12 @@ def _number(word: str) -> float:
     return value
 
 
+def _pose(words: list[str], at: int) -> Array:
+    """(3,) x, y, heading from the words `at` and the two behind it."""
+    x, y, heading = map(_number, words[at : at + 3])
+    return np.array([x, y, heading])
+
+
 def _count(word: str) -> int:
     """How many readings follow."""
     count = int(word)
@@ -244,28 +211,23 @@ def _count(word: str) -> int:
     return count
 
 
-def _pose(words: list[str], at: int) -> Array:
-    """(3,) x, y, heading from the words `at` and the two behind it."""
-    x, y, heading = map(_number, words[at : at + 3])
-    return np.array([x, y, heading])
+def _parts(words: list[str]) -> tuple[Array, list[str], int]:
+    """The readings (B,) of a line, the words behind them, and how many of these are before the stamp.
 
-
-def _readings(words: list[str], at: int) -> tuple[Array, list[str]]:
-    """The readings (B,) whose number is word `at`, and the words behind them."""
+    A ROBOTLASER1 line has the old form, or the new one with remissions.
+    """
+    kind, at = words[0], 1 if words[0] == "FLASER" else 8
     count = _count(words[at])
-    ranges = np.array(words[at + 1 : at + 1 + count], np.float64)
-    if len(ranges) != count:
+    ranges, tail = np.array(words[at + 1 : at + 1 + count], np.float64), words[at + 1 + count :]
+    values = {"FLASER": 6, "RAWLASER1": 0, "ROBOTLASER1": OLD_TAIL}[kind]
+    if kind == "RAWLASER1" or (kind == "ROBOTLASER1" and len(tail) not in (OLD_TAIL, OLD_TAIL + 3)):
+        tail, values = tail[1 + _count(tail[0]) :], NEW_TAIL if values else 0
+    if not 2 <= count == len(ranges) or not values <= len(tail) <= values + 3:
         raise ValueError
-    return ranges, words[at + 1 + count :]
+    return ranges, tail, values
 
 
 def _geometry(words: list[str], beams: int) -> Geometry:
     """That of a RAWLASER1 or ROBOTLASER1 line."""
     start, view, step, max_range = map(_number, words[2:6])
     return Geometry(beams, start, step or view / max(beams - 1, 1), 0.0, max_range if max_range > 0.0 else math.inf)
-
-
-def _plain_geometry(beams: int, view_deg: float | None) -> Geometry:
-    """That of an FLASER line: an odd number of beams reaches both ends of the field of view, an even one the first."""
-    view = math.radians(view_deg or WIDE_DEG.get(beams, 180.0))
-    return Geometry(beams, -0.5 * view, view / max(beams - beams % 2, 1))

@@ -1,22 +1,37 @@
-"""Which column of a table has what: stamp, pose, readings, and what the table says of the laser; all by their names."""
+"""The rows of a table as cells, whatever separates them, and the numbers, missing values and dates in the cells.
+
+Which column has what, by its name: stamp, pose, readings, and what the table says of the laser.
+"""
 
 from __future__ import annotations
 
+import codecs
+import io
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
-from mecp_env.logs.carmen import MOST_BEAMS
-from mecp_env.logs.cells import flat, number, numbers, one_each, seconds
-from mecp_env.logs.readings import FEWEST_BEAMS, Geometry, Recording, Sweep
+from mecp_env.logs.recording import FEWEST_BEAMS, MOST_BEAMS, Geometry, Recording, Sweep
 
+LONGEST_LINE = 2**20
+COMMENTS = ("#", "%")
+SEPARATORS = (";", "\t", "|", ",")
+LIST, JOIN = re.compile(r"[\[({]([^\[\](){}]*)[\])}]"), "\x1f"
+ARRAY = re.compile(r"array\('\w', (\[[^\[\]]*+\])\)")  # as Python prints a list of a ROS 2 message
+FEWEST_LISTED = 8  # numbers in a cell with spaces between them that are a list without brackets
+COMPACT_DATE = re.compile(r"((?:19|20)\d{6})[-_ T](\d{6})((?:[.,]\d+)?(?:Z|[-+]\d\d:?\d\d)?)\Z")
+PAIR = re.compile(r"(?<![A-Za-z])([A-Za-z]++)\s*+[:=]\s*+([^\s,;]++)")  # a name with its value, as `theta: 12.5`
+MISSING = {"", "-", "--", "?", "na", "n/a", "#n/a", "<na>", "null", "nil", "none", "nat", "missing"}
+NOT_FINITE = ("1.#inf", "-1.#inf", "1.#qnan", "-1.#ind")  # as old C libraries of Windows write them
 STAMPS = {"t", "time", "stamp", "timestamp", "sec", "secs", "seconds", "datetime", "epoch"}
 STAMPS |= {"date time", "ros time", "unix time"}
 HEADINGS = {"heading", "theta", "yaw", "th", "phi", "psi", "orientation", "rotation"}
@@ -27,13 +42,7 @@ WHOLE, NANOSECONDS = {"sec", "secs"}, {"nsec", "nsecs", "nanosec", "nanosecs"}  
 LENGTHS = {"m": 1.0, "cm": 1e-2, "mm": 1e-3}
 UNITS = LENGTHS | {"rad": 1.0, "deg": math.radians(1.0), "degrees": math.radians(1.0)}
 UNITS |= {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9} | dict.fromkeys(WHOLE, 1.0) | dict.fromkeys(NANOSECONDS, 1e-9)
-LASER = (
-    "angle min",
-    "angle max",
-    "angle increment",
-    "range min",
-    "range max",
-)  # columns of a table of ROS messages; rad and m
+LASER = {f"angle {what}" for what in ("min", "max", "increment")} | {"range min", "range max"}  # of ROS; rad and m
 EXPECTED = "expected a first row of names: t,x,y,heading, then one bearing in degrees per beam"
 NO_RANGES = re.compile("intens|remission|reflect|rssi|quality|amplitude", re.IGNORECASE)  # beside readings, as many
 ANGLES = re.compile("angle|bearing|azimuth", re.IGNORECASE)  # beside readings, as many: their bearings
@@ -42,6 +51,112 @@ NUMBERED = re.compile(r"\d+(?:[ _]*(?:mm|cm|m))?\W*$")  # the end of a name of r
 IN_DEGREES = re.compile(r"\A\D*?([-+]?\d+(?:\.\d*)?)[ _]*(?:°|degrees|deg)\W*\Z")  # a bearing that names its unit
 TURN_DEG, TURN_RAD = 360.0, 6.3
 LEAST_SHARE = 0.5  # of the readings are in a row that is shorter than the names, at least
+
+
+class Row(NamedTuple):
+    """A line of a table."""
+
+    number: int  # from 1
+    cells: list[str]
+    names: tuple[str, ...] = ()  # of the cells, where each has its own before it
+
+
+def rows_of(data: bytes, comments: bool = False) -> Iterator[Row]:
+    """The rows, with comments (without their mark) where they are asked for; empty lines are left out.
+
+    Where no comma separates cells, one in a number is its decimal point. A list in brackets is one cell, with `JOIN`
+    in it.
+    """
+    data = data.removeprefix(codecs.BOM_UTF8)
+    data = data if b"\n" in data else data.replace(b"\r", b"\n")
+    for number, line in enumerate(iter(partial(io.BytesIO(data).readline, LONGEST_LINE), b""), start=1):
+        text = line.decode("utf-8", "replace").replace('"', "").strip(" \r\n")
+        if text.startswith(COMMENTS) and not comments:
+            continue
+        text = text.lstrip("#% ")
+        if text:
+            yield _row(number, text)
+
+
+def _row(number: int, text: str) -> Row:
+    """The cells of a line."""
+    pairs = PAIR.findall(text)
+    if len(pairs) > 1:
+        names, values = zip(*pairs, strict=True)
+        return Row(number, list(values), names)
+    text = LIST.sub(_joined, ARRAY.sub(r"\1", text))
+    separator = next((mark for mark in SEPARATORS if mark in text), None)
+    text = text if separator in (",", None) else text.replace(",", ".")
+    cells = text.removesuffix(separator or "").split(separator)
+    return Row(number, cells if separator is None else [_listed(cell) for cell in cells])
+
+
+def _listed(cell: str) -> str:
+    """A cell, with `JOIN` between the numbers of a list that has no brackets."""
+    words = cell.split() if cell.count(" ") >= FEWEST_LISTED - 1 else ()
+    return JOIN.join(words) if len(words) >= FEWEST_LISTED and numbers(words) is not None else cell
+
+
+def _joined(found: re.Match[str]) -> str:
+    """The numbers of a list as one cell; the unit of a name, as in `x[m]`, behind it."""
+    words = re.split(r"[\s,;|]+", found[1].strip(" \t,;|"))
+    return f"_{words[0]}" if len(words) == 1 and numbers(words) is None else JOIN.join(words)
+
+
+def flat(cells: Sequence[str]) -> list[str]:
+    """The words of all cells: those of a list one by one."""
+    return [word for cell in cells for word in cell.split(JOIN)]
+
+
+def one_each(names: list[str], cells: list[str]) -> list[str]:
+    """A name for each word of a row: those of a list are numbered."""
+    if len(names) != len(cells):
+        return names
+    pairs = zip(names, cells, strict=True)
+    return [f"{name}{k}" if JOIN in cell else name for name, cell in pairs for k in range(cell.count(JOIN) + 1)]
+
+
+def number(word: str) -> float:
+    """A number; nan where a word says that there is none. Raises `ValueError`."""
+    if not word:
+        return math.nan
+    try:
+        if "_" in word:  # in Python, one may be within a number
+            raise ValueError
+        return float(word)
+    except ValueError:
+        if word.strip().lower() in MISSING or word.strip().lower().startswith(NOT_FINITE):
+            return math.nan
+        raise
+
+
+def numbers(words: Sequence[str]) -> Array | None:
+    """(k,) the numbers of words; None where one is none."""
+    try:
+        return np.fromiter(map(number, words), np.float64, len(words))
+    except ValueError:
+        return None
+
+
+def seconds(word: str, unit_s: float) -> float:
+    """s of a stamp: a number of some unit, a date (UTC unless it names a zone), or a time of the day.
+
+    Raises `ValueError`.
+    """
+    compact = COMPACT_DATE.match(word.strip())
+    if compact is not None:
+        return _since_1970(f"{compact[1]}T{compact[2]}{compact[3]}")
+    try:
+        return unit_s * number(word)
+    except ValueError:
+        date = word.strip().replace("/", "-")
+        return _since_1970(date if "-" in date else f"1970-01-01T{date}")
+
+
+def _since_1970(date: str) -> float:
+    """s of a date in a form of ISO 8601. Raises `ValueError`."""
+    moment = datetime.fromisoformat(date)
+    return (moment if moment.tzinfo else moment.replace(tzinfo=UTC)).timestamp()
 
 
 class Parsed(NamedTuple):
@@ -159,12 +274,10 @@ class Columns:
 
     def _ranges(self, there: list[str]) -> Array:
         """(B,) m of the readings of a row, of which the last may be missing. Raises `ValueError`."""
+        missing = len(self.readings) - len(there)
         if len(there) < LEAST_SHARE * len(self.readings):
             raise ValueError
-        ranges = np.full(len(self.readings), math.nan)
-        ranges[: len(there)] = np.fromiter(map(number, there), np.float64, len(there))
-        ranges *= self.scale
-        return ranges
+        return np.array([*map(number, there), *[math.nan] * missing], np.float64) * self.scale
 
 
 def columns_of(names: list[str], sample: list[str], view_deg: float | None, notes: list[str]) -> Columns:
@@ -209,13 +322,13 @@ def _check_names(names: list[str], place: Place) -> None:
 
 def _said(names: list[str], words: list[str]) -> dict[str, float]:
     """The columns about the laser with their numbers, rad and m, in a row."""
-    found = dict[str, float]()
-    for name, word in zip(names, words, strict=True) if len(names) == len(words) else ():
-        what, unit, _ = parsed(name)
-        value = numbers([word]) if what in LASER else None
-        if value is not None and np.isfinite(value).all():
-            found[what] = unit * float(value[0])
-    return found
+    pairs = zip(map(parsed, names), words, strict=True) if len(names) == len(words) else ()
+    values = {name.word: (name.unit, numbers([word])) for name, word in pairs if name.word in LASER}
+    return {
+        what: unit * float(value[0])
+        for what, (unit, value) in values.items()
+        if value is not None and np.isfinite(value).all()
+    }
 
 
 def _readings(names: list[str], others: set[int]) -> list[int]:

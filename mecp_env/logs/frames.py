@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -13,7 +13,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
 from mecp_env.core.se2 import chained
 from mecp_env.logs.clock import ascending_rows
-from mecp_env.logs.readings import POSE_BYTES, Budget, Track
+from mecp_env.logs.recording import POSE_BYTES, Track
 
 Transform = Array  # (4,4)
 ROBOT_FRAMES = ("base_link", "base_footprint")
@@ -31,7 +31,7 @@ class ZeroQuaternion(ValueError):
 class Frames:
     """The frames of the messages so far."""
 
-    budget: Budget
+    take: Callable[[int], None]  # spends bytes
     parents: dict[str, tuple[str, Transform]] = field(default_factory=dict)  # frame -> its parent, pose in it
     moving: dict[Edge, Track] = field(default_factory=dict)  # poses of robots in their odometry frames
     loose: set[str] = field(default_factory=set)  # those that move in their parents
@@ -43,16 +43,14 @@ class Frames:
         _, first = self.parents.setdefault(child, (parent, T_parent_child))
         if abs(T_parent_child - first).max() > LOOSE:
             self.loose.add(child)
-        if _is_odometry(parent) and not _is_odometry(child):
-            self._follow((parent, child), stamp, T_parent_child, order)
-        elif _is_odometry(child) and _is_robot(parent):
-            self._follow((child, parent), stamp, np.asarray(np.linalg.inv(T_parent_child), np.float64), order)
+        edge, T_odom_robot = (parent, child), T_parent_child
+        if _is_odometry(child) and _is_robot(parent):
+            edge, T_odom_robot = (child, parent), np.asarray(np.linalg.inv(T_parent_child), np.float64)
+        if _is_odometry(edge[0]) and not _is_odometry(edge[1]):
+            self.take(POSE_BYTES)
+            self.moving.setdefault(edge, Track()).add(stamp, planar(T_odom_robot), order)
 
-    def _follow(self, edge: Edge, stamp: float, T_odom_robot: Transform, order: float) -> None:
-        self.budget.take(POSE_BYTES)
-        self.moving.setdefault(edge, Track()).add(stamp, planar(T_odom_robot), order)
-
-    def odometry(self, lasers: Sequence[str]) -> Edge | None:
+    def odometry(self, lasers: Iterable[str]) -> Edge | None:
         """The odometry frame and the robot's: that of the robot that carries the lasers, then that of the usual name.
 
         None where none moved.

@@ -38,8 +38,10 @@ def laser_fault(log: Log, distance_scale: float = 1.0) -> str | None:
     odometry = between(log.T_odom_robot[rows[:-1]], log.T_odom_robot[rows[1:]]) * (distance_scale, distance_scale, 1.0)
     path = composed(registered_path(log, rows.tolist()), log.T_robot_laser) if len(rows) > 1 else np.zeros((1, 3))
     scans = between(path[:-1], path[1:])  # of the laser, in its frame
-    mirrored = _are_opposite(odometry[:, 2], scans[:, 2])
-    wider = _wider(odometry[:, 2], scans[:, 2]) if log.view_assumed else 1.0
+    turning = (abs(odometry[:, 2]) > LEAST_TURN_RAD) & (abs(odometry[:, 2]) < MOST_TURN_RAD)
+    turns = odometry[turning, 2], scans[turning, 2]
+    mirrored = _are_opposite(*turns)
+    wider = _wider(*turns) if log.view_assumed else 1.0
     if not 1.0 / MOST_WIDER < wider < MOST_WIDER:
         return _other_view(log.field_of_view_deg, wider)
     turn = _turn(odometry, scans, -log.T_robot_laser[2], mirrored)
@@ -66,10 +68,9 @@ def _wider(odometry: Array, scans: Array) -> float:
 
     Scans of one that sees twice as much turn by half. The larger a turn, the more it counts. 1 where too few agree.
     """
-    turns = (abs(odometry) > LEAST_TURN_RAD) & (abs(odometry) < MOST_TURN_RAD)
-    if turns.sum() < TURNS // 2:
+    if len(odometry) < TURNS // 2:
         return 1.0
-    ratios, weights = scans[turns] / odometry[turns], abs(odometry[turns])
+    ratios, weights = scans / odometry, abs(odometry)
     order = np.argsort(ratios)
     middle = float(ratios[order][np.searchsorted(np.cumsum(weights[order]), 0.5 * weights.sum())])
     steady = abs(ratios - middle) < (MOST_WIDER - 1.0) * abs(middle)
@@ -109,12 +110,10 @@ def _moving(T_odom_robot: Array) -> Ints:
 
 def _are_opposite(odometry: Array, scans: Array) -> bool:
     """True where turns (n,) rad by the odometry and by scans have opposite signs."""
-    turns = (abs(odometry) > LEAST_TURN_RAD) & (abs(odometry) < MOST_TURN_RAD)
-    if turns.sum() < TURNS // 2 or abs(odometry[turns]).sum() < 0.25 * TURNS_RAD:
+    if len(odometry) < TURNS // 2 or abs(odometry).sum() < 0.25 * TURNS_RAD:
         return False
-    a, b = odometry[turns], scans[turns]
-    size = math.sqrt(float((a * a).sum() * (b * b).sum()))
-    return size > 0.0 and float((a * b).sum()) < OPPOSITE * size
+    size = math.sqrt(float((odometry * odometry).sum() * (scans * scans).sum()))
+    return size > 0.0 and float((odometry * scans).sum()) < OPPOSITE * size
 
 
 def _turn(odometry: Array, scans: Array, heading: float, mirrored: bool) -> complex:

@@ -15,7 +15,8 @@ import numpy as np
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import between, interpolated
 from mecp_env.logs.clock import ascending_rows
-from mecp_env.logs.readings import Geometry, Readings, Sweep, Track
+from mecp_env.logs.readings import Readings
+from mecp_env.logs.recording import Geometry, Sweep, Track
 
 NEAR_SHARE = 0.8  # of the range: gaps between nearer hits are mostly walls, those between farther ones open space
 LOST_SHARE = 0.13  # of all beams, in such gaps, and
@@ -75,38 +76,29 @@ WIDEST = 64  # beams that two neighbouring hits fill at most
 
 
 def one_scanner(
-    lasers: Sequence[tuple[list[Sweep], Readings]], mounts: Sequence[Array], odometry: Track, counts: Counter[str]
+    lasers: Sequence[tuple[list[Sweep], Readings, Array]], odometry: Track, counts: Counter[str]
 ) -> list[Sweep]:
     """The sweeps of the laser that has the most, each with those of the others that were taken nearest to it.
 
-    `mounts` (3,) m, rad of each laser. Beams that no laser covers have no return.
+    Each laser has its mounting pose (3,) m, rad. Beams that no laser covers have no return.
     """
-    base = max(range(len(lasers)), key=lambda laser: len(lasers[laser][0]))
-    step = min(float(np.diff(readings.bearings).min()) for _, readings in lasers)
-    beams = round(2.0 * math.pi / step)
+    base = max((sweeps for sweeps, _, _ in lasers), key=len)
+    beams = round(2.0 * math.pi / min(float(np.diff(readings.bearings).min()) for _, readings, _ in lasers))
     geometry = Geometry(beams, 2.0 * math.pi / beams - math.pi, 2.0 * math.pi / beams)
-    t = np.array([sweep.t for sweep in lasers[base][0]])
-    views = [
-        (readings, mount, *_partners(t, sweeps, odometry))
-        for (sweeps, readings), mount in zip(lasers, mounts, strict=True)
-    ]
-    merged = list[Sweep]()
-    for row, stamp in enumerate(t.tolist()):
-        ranges = np.full(beams, np.inf)
-        for readings, mount, partner, motion in views:
-            if partner[row] >= 0:
-                points = _points(readings, int(partner[row]), mount, motion[row])
-                _rasterise(points, ranges)
-            else:
-                counts["scans without one of another laser at the same time"] += 1
-        merged.append(Sweep(stamp, ranges, geometry))
+    t = np.array([sweep.t for sweep in base])
+    merged = [Sweep(stamp, np.full(beams, np.inf), geometry) for stamp in t.tolist()]
+    for sweeps, readings, mount in lasers:
+        partners, motions = _partners(t, sweeps, odometry)
+        counts["scans without one of another laser at the same time"] += int((partners < 0).sum())
+        for row in np.flatnonzero(partners >= 0):
+            _rasterise(_points(readings, partners[row], mount, motions[row]), merged[row].ranges)
     return merged
 
 
 def _partners(t: Array, sweeps: list[Sweep], odometry: Track) -> tuple[Ints, Array]:
     """For each stamp of t (n,) the nearest sweep (n,), -1 where none is near, and the robot's motion to it (n,3)."""
     other = np.array([sweep.t for sweep in sweeps])
-    after = np.searchsorted(other, t).clip(1, max(len(other) - 1, 1)) if len(other) > 1 else np.zeros(len(t), np.int64)
+    after = np.searchsorted(other, t).clip(min(1, len(other) - 1), len(other) - 1)
     before = np.maximum(after - 1, 0)
     partner = np.where(abs(other[before] - t) <= abs(other[after] - t), before, after)
     motion = _motion(t, other[partner], odometry)
@@ -117,11 +109,12 @@ def _partners(t: Array, sweeps: list[Sweep], odometry: Track) -> tuple[Ints, Arr
 
 def _motion(t: Array, other: Array, odometry: Track) -> Array:
     """(n,3) the robot's pose at the stamps `other` (n,) in its frame at t (n,), by the odometry."""
-    rows = ascending_rows(np.array(odometry.t, np.float64))
+    stamps = np.array(odometry.t, np.float64)
+    rows = ascending_rows(stamps)
     if len(rows) < 2:
         return np.zeros((len(t), 3))
-    stamps, poses = np.array(odometry.t)[rows], np.array(odometry.poses)[rows]
-    return between(interpolated(stamps, poses, t), interpolated(stamps, poses, other))
+    poses = np.array(odometry.poses)[rows]
+    return between(*(interpolated(stamps[rows], poses, at) for at in (t, other)))
 
 
 def _points(readings: Readings, row: int, mount: Array, motion: Array) -> Array:
@@ -135,21 +128,19 @@ def _points(readings: Readings, row: int, mount: Array, motion: Array) -> Array:
 def _rasterise(points: Array, ranges: Array) -> None:
     """Bring the ranges (B,) of a scanner at the origin down to the points (n,2), and to the surfaces between them."""
     step = 2.0 * math.pi / len(ranges)
-    hits = points[np.isfinite(points[:, 0])]
-    joined = _surfaces(points, ranges, step)
-    alone = hits[~joined[np.isfinite(points[:, 0])]]
-    place = np.rint(np.arctan2(alone[:, 1], alone[:, 0]) / step).astype(np.int64)
-    np.minimum.at(ranges, (place + len(ranges) // 2 - 1) % len(ranges), np.hypot(*alone.T))
+    near, beam, reach = _surfaces(points, step)
+    alone = np.isfinite(points[:, 0])
+    alone[near] = alone[near + 1] = False
+    place = np.rint(np.arctan2(points[alone, 1], points[alone, 0]) / step).astype(np.int64)
+    beams, reaches = np.append(beam, place), np.append(reach, np.hypot(*points[alone].T))
+    np.minimum.at(ranges, (beams + len(ranges) // 2 - 1) % len(ranges), reaches)
 
 
-def _surfaces(points: Array, ranges: Array, step: float) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Write the surfaces between neighbouring points; true for each point (n,) on one."""
+def _surfaces(points: Array, step: float) -> tuple[Ints, Ints, Array]:
+    """The points (k,) that are one surface with the next, and the beams (m,) that meet these surfaces, after m (m,)."""
     a, b = points[:-1], points[1:]
-    length = np.hypot(*(b - a).T)
     usual = JOINED_STEPS * step * np.hypot(*a.T)
-    near = np.flatnonzero(length < np.maximum(JOINED_M, usual))
-    joined = np.zeros(len(points), np.bool_)
-    joined[near], joined[near + 1] = True, True
+    near = np.flatnonzero(np.hypot(*(b - a).T) < np.maximum(JOINED_M, usual))
     a, b = a[near], b[near]
     first, turn = np.arctan2(a[:, 1], a[:, 0]), np.arctan2(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0], (a * b).sum(axis=1))
     low, high = np.minimum(first, first + turn), np.maximum(first, first + turn)
@@ -157,11 +148,8 @@ def _surfaces(points: Array, ranges: Array, step: float) -> np.ndarray[tuple[int
     count = (end - begin + 1).clip(0, WIDEST)
     owner = np.repeat(np.arange(len(near)), count)
     beam = begin[owner] + np.arange(len(owner)) - np.repeat(np.cumsum(count) - count, count)
-    direction = np.stack((np.cos(beam * step), np.sin(beam * step)), axis=1)
-    along = (b - a)[owner]
-    across = direction[:, 0] * along[:, 1] - direction[:, 1] * along[:, 0]
+    c, s, along = np.cos(beam * step), np.sin(beam * step), (b - a)[owner]
     with np.errstate(divide="ignore", invalid="ignore"):
-        reach = (a[owner, 0] * along[:, 1] - a[owner, 1] * along[:, 0]) / across
-    sound = np.isfinite(reach) & (reach > 0.0)
-    np.minimum.at(ranges, (beam[sound] + len(ranges) // 2 - 1) % len(ranges), reach[sound])
-    return joined
+        reach = (a[owner, 0] * along[:, 1] - a[owner, 1] * along[:, 0]) / (c * along[:, 1] - s * along[:, 0])
+    ahead = np.isfinite(reach) & (reach > 0.0)
+    return near, beam[ahead], reach[ahead]

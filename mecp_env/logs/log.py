@@ -21,7 +21,7 @@ from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
 from mecp_env.core.sensors import Scan
 from mecp_env.logs.lasers import no_return_of, swallowed_of
-from mecp_env.logs.readings import Budget, Geometry, Recording, Sweep, Track
+from mecp_env.logs.recording import Geometry, Recording, Sweep, Track
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,20 +121,20 @@ NO_NUMBERS = "cV"  # complex numbers and records
 def read_archive(path: Path) -> Recording:
     """What is in an archive. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
-    recording = Recording(path.name, budget=Budget.of(len(data)))
-    arrays = _arrays(data, recording.budget)
+    recording = Recording(path.name, len(data))
+    arrays = _arrays(data, recording)
     _check_shapes(arrays)
     angles = arrays["angles"]
     if len(angles) < 2 or not np.isfinite(angles).all():
         raise LogError(f"angles: {len(angles)} finite numbers, at least 2 expected")
     limit = float(arrays.get("max_range_m", np.array(np.inf)))
     geometry = Geometry.even(angles, "angles: not evenly spaced", max_range_m=limit)
-    stamps, odometry = arrays["t"].tolist(), arrays.get("odo", np.empty((0, 3)))
-    poses = list(odometry) or [None] * len(stamps)
-    for row, (t, sweep, pose) in enumerate(zip(stamps, arrays["ranges"], poses, strict=True)):
-        recording.add(Sweep(t, sweep, geometry, pose, order=float(row)))
+    stamps, rows = arrays["t"].tolist(), np.arange(len(arrays["t"]), dtype=np.float64).tolist()
+    poses = list(arrays.get("odo", ())) or [None] * len(rows)
+    for t, sweep, pose, row in zip(stamps, arrays["ranges"], poses, rows, strict=True):
+        recording.add(Sweep(t, sweep, geometry, pose, order=row))
     if "ref" in arrays:
-        recording.reference = Track(stamps, list(arrays["ref"]), [float(row) for row in range(len(stamps))])
+        recording.reference = Track(stamps, list(arrays["ref"]), rows)
     relations = arrays.get("rel", recording.relations)
     recording.relations = relations[np.isfinite(relations).all(axis=1)]
     recording.counts["damaged relations"] += len(relations) - len(recording.relations)
@@ -142,13 +142,13 @@ def read_archive(path: Path) -> Recording:
     return recording
 
 
-def _arrays(data: bytes, budget: Budget) -> dict[str, Array]:
+def _arrays(data: bytes, recording: Recording) -> dict[str, Array]:
     """The arrays of known names, as numbers. Raises `LogError`."""
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for member in archive.infolist():
                 if member.filename.removesuffix(".npy") in SHAPES:
-                    _check_size(archive, member, budget)
+                    _check_size(archive, member, recording)
         with np.load(io.BytesIO(data), allow_pickle=False) as archive:
             _check_names(list(archive))
             return {name: np.array(archive[name], np.float64) for name in SHAPES if name in archive}
@@ -158,7 +158,14 @@ def _arrays(data: bytes, budget: Budget) -> dict[str, Array]:
         raise LogError(f"no NumPy archive, or damaged ({type(error).__name__}: {error!s:.80})") from None
 
 
-def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo, budget: Budget) -> None:
+def _check_names(names: list[str]) -> None:
+    """Raise `LogError` where an array is missing."""
+    if missing := [name for name in NEEDED if name not in names]:
+        there = f"{', '.join(names):.120}" or "nothing"
+        raise LogError(f"no {', '.join(missing)} in the archive, only {there} (expected: {', '.join(SHAPES)})")
+
+
+def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo, recording: Recording) -> None:
     """Spend what an array takes as it is and as numbers. Raises `LogError` before it is unpacked."""
     with archive.open(member) as file:
         version = np.lib.format.read_magic(file)
@@ -167,15 +174,7 @@ def _check_size(archive: zipfile.ZipFile, member: zipfile.ZipInfo, budget: Budge
     if kind.hasobject or kind.kind in NO_NUMBERS:
         raise LogError(f"{member.filename}: damaged, or of the type {kind!s:.40}, not numbers")
     counted_again = 8 if member.filename == "ranges.npy" else 0  # with the sweeps
-    budget.take(math.prod(shape) * (max(kind.itemsize, 8) - counted_again))
-
-
-def _check_names(names: list[str]) -> None:
-    """Raise `LogError` where an array is missing."""
-    missing = [name for name in NEEDED if name not in names]
-    if missing:
-        there = f"{', '.join(names):.120}" or "nothing"
-        raise LogError(f"no {', '.join(missing)} in the archive, only {there} (expected: {', '.join(SHAPES)})")
+    recording.take(math.prod(shape) * (max(kind.itemsize, 8) - counted_again))
 
 
 def _check_shapes(arrays: dict[str, Array]) -> None:

@@ -51,26 +51,14 @@ def end_of(increments: Array) -> Array:
 def reading(increments: Array, noise: NoiseModel, rng: np.random.Generator | None = None) -> Odometry:
     """Increments (M,2) with the covariance of their path, and with noise from `rng` where there is one.
 
-    Path and turn are those of all arcs together: a slip to the side between two scans is no extra path.
+    Path and turn are those of all arcs together, and equal parts of noise and variance of each: a slip to the side
+    between two scans is no extra path.
     """
-    measured = increments if rng is None else increments + _noise(increments, noise, rng)
-    return Odometry(measured, _covariances(measured, noise), bumper=False)
-
-
-def _noise(increments: Array, noise: NoiseModel, rng: np.random.Generator) -> Array:
-    """(M,2) m, rad: equal parts of one draw."""
-    return rng.standard_normal(2) * _sigmas(increments, noise) / len(increments)
-
-
-def _sigmas(increments: Array, noise: NoiseModel) -> Array:
-    """(2,) m, rad: standard deviations of the sum of increments (M,2)."""
-    return noise.sigmas(*abs(increments.sum(axis=0)).tolist())
-
-
-def _covariances(increments: Array, noise: NoiseModel) -> Array:
-    """(M,2,2) of each increment, equal parts of that of the sum."""
-    variances = _sigmas(increments, noise) ** 2 / len(increments) + np.array([FLOOR_M, FLOOR_RAD]) ** 2
-    return np.tile(np.diag(variances), (len(increments), 1, 1))
+    measured, count = increments, len(increments)
+    if rng is not None:
+        measured = increments + rng.standard_normal(2) * noise.sigmas(*abs(increments.sum(axis=0)).tolist()) / count
+    variances = noise.sigmas(*abs(measured.sum(axis=0)).tolist()) ** 2 / count + np.array([FLOOR_M, FLOOR_RAD]) ** 2
+    return Odometry(measured, np.tile(np.diag(variances), (count, 1, 1)), bumper=False)
 
 
 QUARTER_TURN = math.pi / 2.0
@@ -120,7 +108,11 @@ class OdometryModel(Settings):
 
     def corrected(self, motion: Array) -> Array:
         """(n,3) or (3,) m, rad: relative poses of the robot without scale and bias, of measured ones."""
-        return corrected(motion, self.correction)
+        x, y, turn = np.moveaxis(motion, -1, 0)
+        distance_scale, turn_scale, bias = self.correction
+        true_turn = turn_scale * turn + bias * np.copysign(np.hypot(x, y), x)
+        chord = distance_scale * (x + 1j * y) * np.exp(0.5j * (true_turn - turn))  # turns by half, as on an arc
+        return np.stack((chord.real, chord.imag, wrapped(true_turn)), axis=-1)
 
     def between(self, T_odom_before: Any, T_odom_after: Any) -> Odometry:
         """The corrected motion, with its covariance, between two poses (3,) m, rad that the odometry gives.
@@ -133,20 +125,8 @@ class OdometryModel(Settings):
         return reading(arcs(self.corrected(between(before, after))), self)
 
 
-def corrected(motion: Array, correction: Array) -> Array:
-    """(n,3) or (3,) m, rad: motions with scale of distance and turn, and a bias of the turn per metre, applied.
-
-    The chord turns by half of what the heading does, as on an arc.
-    """
-    x, y, turn = np.moveaxis(motion, -1, 0)
-    distance_scale, turn_scale, bias = correction
-    true_turn = turn_scale * turn + bias * np.copysign(np.hypot(x, y), x)
-    chord = distance_scale * (x + 1j * y) * np.exp(0.5j * (true_turn - turn))
-    return np.stack((chord.real, chord.imag, wrapped(true_turn)), axis=-1)
-
-
 def measured(motion: Array, correction: Array) -> Array:
-    """(n,3) or (3,) m, rad: what the odometry measures of true motions, without noise; the inverse of `corrected`."""
+    """(n,3) or (3,) m, rad: what the odometry measures of true motions, without noise; `corrected` is the inverse."""
     x, y, turn = np.moveaxis(motion, -1, 0)
     distance_scale, turn_scale, bias = correction
     chord = (x + 1j * y) / distance_scale

@@ -5,18 +5,14 @@ from __future__ import annotations
 from contextlib import suppress
 from pathlib import Path
 
-from pydantic import Field
-
 from mecp_env.core.errors import LogError, MecpError
 from mecp_env.core.files import exists
-from mecp_env.core.settings import Settings
 from mecp_env.logs.assemble import assemble
 from mecp_env.logs.bag import SUFFIXES, is_bag, read_bag
 from mecp_env.logs.carmen import MAGIC, PACKED, READERS, read_carmen
-from mecp_env.logs.cells import rows_of
-from mecp_env.logs.clock import Clock
+from mecp_env.logs.columns import rows_of
 from mecp_env.logs.log import Log, read_archive
-from mecp_env.logs.readings import Recording, Track
+from mecp_env.logs.recording import ReadOptions, Recording
 from mecp_env.logs.tables import TABLES, has_names, header_of, read_table
 
 CARMEN = (".log", ".clf", ".carmen")
@@ -49,63 +45,33 @@ BINARY = {  # the first bytes of binary logs, which must have the name of their 
 START = 2**14  # bytes of a text that tell what it is
 
 
-class ReadOptions(Settings):
-    """What a log does not say, or says wrongly."""
-
-    scan_topic: str | tuple[str, ...] | None = None  # of a bag, several for several lasers that are merged; or the
-    # laser message of a CARMEN log; None: the only one
-    scan_frame: str | None = None  # of a bag whose scans have several frames: the one to read; None: all, merged
-    odometry_topic: str | None = None  # of a bag; None: the only one
-    max_range_m: float | None = Field(None, gt=0.0, le=1000.0)  # readings from here on are no return; None: by the log
-    field_of_view_deg: float | None = Field(None, ge=10.0, le=360.0)  # beams outside are left out; FLASER lines have
-    # no angles: their beams are spread over it
-    mirror: bool = False  # the laser turns clockwise, or hangs upside down
-    laser_yaw_deg: float = Field(0.0, ge=-180.0, le=180.0)  # added to the heading of the laser on the robot
-    clock: Clock = "message"  # or received: the order of the file, in a bag the times when messages were received
-    use_odometry: bool = True  # False: that of the log is left out
-
-    @property
-    def scan_topics(self) -> tuple[str, ...]:
-        """All topics that are asked for."""
-        return (self.scan_topic,) if isinstance(self.scan_topic, str) else self.scan_topic or ()
-
-
 def read_log(path: str | Path, options: ReadOptions | None = None) -> Log:
     """The log in a file or folder. What is skipped or repaired is counted. Raises `LogError` that names the file."""
     options, path = options or ReadOptions(), Path(path)
     try:
-        recording = _asked(_recording(path, options), options)
-        limits = options.max_range_m, options.field_of_view_deg
-        return assemble(recording, *limits, options.clock, options.laser_yaw_deg, options.use_odometry)
+        return assemble(_recording(path, options), options)
     except MecpError as error:
         raise LogError(f"{path}: {error}") from None
 
 
-def _asked(recording: Recording, options: ReadOptions) -> Recording:
-    """A recording with what the options say in place of what the file does."""
-    if options.mirror:
-        recording.sweeps = [sweep.mirrored() for sweep in recording.sweeps]
-    if not options.use_odometry:
-        recording.odometry = Track()
-    return recording
-
-
 def _recording(path: Path, options: ReadOptions) -> Recording:
-    """What is in a file, by the reader of its format."""
+    """What is in a file, by the reader of its format. Raises `LogError`."""
     suffix = Path(path.name.lower().removesuffix(PACKED)).suffix
-    _check_file(path, suffix)
+    _check_file(path)
+    start = _start(path)
+    _check_start(path, suffix, start)
     if is_bag(path):
-        asked = (options.odometry_topic,) if options.odometry_topic else ()
-        return read_bag(path, options.scan_topics, asked, options.scan_frame, several=not options.use_odometry)
-    if _is_carmen(path, suffix):
-        _check_options(options, "scan_frame", "odometry_topic")
-        return read_carmen(path, _only(options.scan_topics), options.field_of_view_deg)
-    _check_options(options, "scan_topic", "scan_frame", "odometry_topic")
+        return read_bag(path, options)
+    _check_name(path, suffix, start)
+    is_carmen = suffix in TEXTS and _is_carmen(start, suffix)
+    _check_options(options, is_carmen)
+    if is_carmen:
+        return read_carmen(path, next(iter(options.scan_topics), None), options.field_of_view_deg)
     return read_archive(path) if suffix == ".npz" else read_table(path, options.field_of_view_deg)
 
 
-def _check_file(path: Path, suffix: str) -> None:
-    """Raise `LogError` for what is no log by its name or by its first bytes."""
+def _check_file(path: Path) -> None:
+    """Raise `LogError` for what cannot be a log."""
     if not exists(path):
         raise LogError("no such file")
     if path.is_dir():
@@ -116,35 +82,32 @@ def _check_file(path: Path, suffix: str) -> None:
         raise LogError("no plain file, but a pipe or a device: save it as a file first")
     if not path.stat().st_size:
         raise LogError("an empty file")
-    _check_start(path, suffix)
-    if not is_bag(path):
-        _check_name(path, suffix)
 
 
-def _check_name(path: Path, suffix: str) -> None:
+def _start(path: Path) -> bytes:
+    """The first bytes of a file; none of a folder, or where it cannot be read: its reader says what is wrong."""
+    with suppress(OSError), path.open("rb") as file:
+        return file.read(START)
+    return b""
+
+
+def _check_start(path: Path, suffix: str, start: bytes) -> None:
+    """Raise `LogError` for a file that begins as another format than its name says."""
+    foreign, binary = _named(FOREIGN, start.lstrip().lower()), _named(BINARY, start)
+    if foreign and suffix != ".npz":
+        raise LogError(f"not a log as it is, but {foreign}")
+    if binary and suffix not in binary:
+        raise LogError(f"not what its name says, but {binary}: rename it")
+    if path.is_file() and is_bag(path) and not binary:
+        raise LogError("no bag, or damaged: it begins as none does")
+
+
+def _check_name(path: Path, suffix: str, start: bytes) -> None:
     """Raise `LogError` for the name of a file that is not read so."""
     if suffix in SUFFIXES:
         raise LogError(f"a bag is read as it is, with {suffix} behind its name: unpack or rename it")
     if suffix not in (".npz", *TEXTS):
         raise LogError(f"unknown format {path.suffix!r:.20}, expected {FORMATS}")
-
-
-def _check_start(path: Path, suffix: str) -> None:
-    """Raise `LogError` for a file that begins as another format."""
-    start = _start(path)
-    foreign = _named(FOREIGN, start.lstrip().lower())
-    if foreign and suffix != ".npz":
-        raise LogError(f"not a log as it is, but {foreign}")
-    _check_kind(path, suffix, start)
-
-
-def _check_kind(path: Path, suffix: str, start: bytes) -> None:
-    """Raise `LogError` for a file that begins as no text, or as no bag, where its name says so."""
-    binary = _named(BINARY, start)
-    if binary and suffix not in binary:
-        raise LogError(f"not what its name says, but {binary}: rename it")
-    if is_bag(path) and not binary:
-        raise LogError("no bag, or damaged: it begins as none does")
     if suffix in TEXTS and b"\0" in start and not start.startswith(MAGIC):
         raise LogError("no text as its name says, or text in UTF-16: save it as UTF-8")
 
@@ -154,17 +117,9 @@ def _named(marks: dict[bytes, str], start: bytes) -> str:
     return next((what for mark, what in marks.items() if start.startswith(mark)), "")
 
 
-def _start(path: Path) -> bytes:
-    """The first bytes of a file; none where it cannot be read: its reader says what is wrong."""
-    with suppress(OSError), path.open("rb") as file:
-        return file.read(START)
-    return b""
-
-
-def _is_carmen(path: Path, suffix: str) -> bool:
+def _is_carmen(start: bytes, suffix: str) -> bool:
     """True where a text is a CARMEN log by its first lines, or by its name unless those are names of columns."""
-    start = _start(path)
-    if suffix not in TEXTS or start.startswith(MAGIC):
+    if start.startswith(MAGIC):
         return suffix in CARMEN
     words = [line.split(maxsplit=2)[:2] for line in start.decode("utf-8-sig", "replace").splitlines()]
     if any(len(line) > 1 and line[0] in READERS for line in words):
@@ -172,17 +127,12 @@ def _is_carmen(path: Path, suffix: str) -> bool:
     return suffix in CARMEN and not has_names(header_of(list(rows_of(start, comments=True))))
 
 
-def _check_options(options: ReadOptions, *of_bags: str) -> None:
+def _check_options(options: ReadOptions, is_carmen: bool) -> None:
     """Raise `LogError` where one of the options of bags is given with another format."""
-    for name in of_bags:
-        given = options.scan_topics if name == "scan_topic" else getattr(options, name)
-        if given:
-            said = given if isinstance(given, str) else ", ".join(given)
-            raise LogError(f"--{name.replace('_', '-')}: {said!r:.80} given, but this is no bag")
-
-
-def _only(topics: tuple[str, ...]) -> str | None:
-    """The laser message of a CARMEN log. Raises `LogError` for several."""
-    if len(topics) > 1:
+    topics = options.scan_topics
+    given = {"scan-frame": options.scan_frame, "odometry-topic": options.odometry_topic}
+    for name, said in {"scan-topic": "" if is_carmen else ", ".join(topics), **given}.items():
+        if said:
+            raise LogError(f"--{name}: {said!r:.80} given, but this is no bag")
+    if is_carmen and len(topics) > 1:
         raise LogError(f"--scan-topic: {', '.join(topics)}: a CARMEN log has one laser message; several are for bags")
-    return topics[0] if topics else None

@@ -55,10 +55,10 @@ def registered_path(log: Log, rows: Sequence[int] | None = None) -> Array:
     path = np.zeros((len(chosen), 3))
     if not len(chosen):
         return path
-    key, T_map_key = surface_of(log, chosen[0]), np.zeros(3)
+    key, T_map_key = _surface(log, chosen[0]), np.zeros(3)
     step = np.zeros(3)  # the last motion, as a pose per second
     for n, row in enumerate(chosen[1:], start=1):
-        scan, dt = surface_of(log, row), float(log.t[row] - log.t[chosen[n - 1]])
+        scan, dt = _surface(log, row), float(log.t[row] - log.t[chosen[n - 1]])
         still = between(T_map_key, path[n - 1])
         moved, share = _best(key, scan, still, composed(still, step * dt))
         path[n] = composed(T_map_key, moved)
@@ -164,7 +164,7 @@ def _said(log: Log, runs: list[tuple[int, int]]) -> str:
     )
 
 
-def surface_of(log: Log, row: int) -> Surface:
+def _surface(log: Log, row: int) -> Surface:
     """The points of a scan, with normals by their neighbours."""
     ranges, x, y = log.ranges[row], *log.T_robot_laser[:2]
     angles = log.bearings + log.T_robot_laser[2]

@@ -98,6 +98,7 @@ LEVELS = {  # wall, floor, unknown, and the fields that make it so
     "raw": (100, 0, 255, {"mode": "raw"}),
     "truth values": (0, 254, 205, {"negate": False, "free_thresh": 0.25, "occupied_thresh": None, "mode": None}),
     "plane origin": (0, 254, 205, {"origin": [0, 0]}),
+    "any case, as in nav2": (0, 254, 205, {"mode": "Trinary"}),
 }
 
 

@@ -60,11 +60,6 @@ def test_an_image_outside_of_the_folder_is_not_said_to_be_missing(tmp_path: Path
         load_plan(path)
 
 
-def test_the_mode_of_a_map_has_any_case_as_in_nav2(tmp_path: Path) -> None:
-    path = pair(tmp_path, mode="Trinary")
-    assert load_plan(path).rooms == load_plan(pair(tmp_path)).rooms
-
-
 @pytest.mark.parametrize("fields", [{"origin": [451e3, 5.4e6, 0.0]}, {"resolution": 50.0}, {"free_thresh": 25}])
 def test_a_wrong_field_of_a_map_comes_with_what_is_expected(fields: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(LayoutError, match=r"given: .*; expected .* m per pixel, origin .* 0 will do.* from 0 to 1"):
