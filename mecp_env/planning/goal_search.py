@@ -287,7 +287,7 @@ def looked_at(
                 continue
             aside = abs(wrap_angle(math.atan2(dy, dx) - T_map_scans[k, 2] - field[0]))
             leg[0], leg[1] = T_map_scans[k, :2], places[i]
-            open_to = scan_rooms[k] == rooms[i] or not wall_on_path(label, leg, origin, resolution, 0.5 * resolution)
+            open_to = scan_rooms[k] == rooms[i] or not wall_on_path(label, leg, origin, resolution, resolution)
             seen[i] = aside <= field[1] and open_to
     return seen
 
