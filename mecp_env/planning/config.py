@@ -26,7 +26,7 @@ class GoalsConfig(Settings):
     same_gap_m: float = Field(0.8, gt=0.0, le=5.0)  # a gap this close to a door is that door, seen at a grazing angle
     door_clear_m: float = Field(0.5, ge=0.0, le=3.0)  # frontier cells this close to a door belong to the door
     reach_m: float = Field(0.8, gt=0.0, le=3.0)  # a goal is reachable when the robot can come this close
-    seen_m: float = Field(1.0, ge=0.0, le=10.0)  # an open edge or bare floor that was looked at from so near is none
+    seen_m: float = Field(1.0, ge=0.0, le=10.0)  # what was looked at from so near in a room is no goal once it is left
     apart_m: float = Field(0.5, gt=0.0, le=5.0)  # goals of one kind closer than this are one goal
     refusals: int = Field(3, ge=1, le=100)  # a goal refused this often is given up
     retries: int = Field(2, ge=0, le=100)  # number of retries of refused goals with pedestrians

@@ -68,8 +68,9 @@ def length_of(dx: float, dy: float) -> float:
 def find_everything(context: GoalContext, entry: dict[int, Array], config: GoalsConfig) -> list[Goal]:
     """All goals, reachable or not; `entry` tells where each room was entered, (2,) m, map frame.
 
-    Where no polygon lies: beyond open edges; in rooms without one on floor outside polygons; not where the robot has
-    been, as what can be seen from there was, and no polygon came of it. In rooms without either further in.
+    Where no polygon lies: beyond open edges; in rooms without one on floor outside polygons; in rooms that the robot
+    has left not where it has been, as what can be seen from there was, and no polygon came of it. In rooms without
+    either further in.
     """
     floor, frontiers = floor_goals(context, config)
     goals = open_goals(context, config)
@@ -80,14 +81,18 @@ def find_everything(context: GoalContext, entry: dict[int, Array], config: Goals
 
 
 def without_seen(goals: list[Goal], output: SlamOutput, near_m: float) -> list[Goal]:
-    """The goals that no key scan looked at from within `near_m`: from their room, or with no wall between."""
+    """The goals in the robot's room, and those that no key scan looked at from near.
+
+    Near: from within `near_m` in the same room, or with no wall between.
+    """
+    here = output.graph.resolve(output.graph.current)
     places, beams = np.array([(goal.x, goal.y) for goal in goals], np.float64).reshape(-1, 2), output.beams
     half = 0.5 * (beams.bearings[-1] - beams.bearings[0]) if beams.blind else math.pi
     field = output.T_robot_laser.item(2) + beams.bearings.item(0) + half, half
     floor = output.grid.label, output.grid.origin, output.grid.resolution_m
     rooms, scans = np.array([goal.room for goal in goals], np.int64), (output.T_map_scans, output.scan_rooms)
     seen = goal_search.looked_at(places, rooms, scans, near_m, field, floor)
-    return [goal for goal, done in zip(goals, seen.tolist(), strict=True) if not done]
+    return [goal for goal, done in zip(goals, seen.tolist(), strict=True) if goal.room == here or not done]
 
 
 def without_rooms(goals: list[Goal], others: list[Goal]) -> list[Goal]:

@@ -101,7 +101,7 @@ class SlamPipeline(SlamParts):
         tried, self.filter = self.filter, predicted.copy()
         self.filter.loosen(self.guard.slack())
         again = self._attempt(around, view, self._associate(around, view.at(self.filter.belief())), sharp=False)
-        if not again[2].beats(first[2]):
+        if not again[2].beats(first[2]) or self.guard.is_same(first[2], tried.belief(), self.filter.belief()):
             self.filter = tried
             return first
         if not (first[2].nearly_fits or self._is_clear(around, view)):

@@ -114,12 +114,13 @@ def test_places_are_looked_at_from_near_where_no_wall_is_between_and_the_laser_s
     assert seen(0.0, math.pi, scans=np.empty((0, 3))) == [False] * 5
 
 
-def test_where_the_robot_has_been_no_open_edge_is_a_goal(toy: Toy) -> None:
+def test_where_the_robot_has_been_no_open_edge_of_a_room_that_it_left_is_a_goal(toy: Toy) -> None:
     half_a_room(toy)
     output, limits = toy.output(), CONFIG.goals
 
-    def kinds(*T_map_scans: np.ndarray) -> list[int]:
-        seen = replace(output, T_map_scans=np.reshape(T_map_scans, (-1, 3)), scan_rooms=np.zeros(len(T_map_scans), int))
+    def kinds(*T_map_scans: np.ndarray, current: int = 1) -> list[int]:
+        scans = {"T_map_scans": np.reshape(T_map_scans, (-1, 3)), "scan_rooms": np.zeros(len(T_map_scans), int)}
+        seen = replace(output, graph=make.graph(current, (0, 1), doors=output.graph.doors), **scans)
         return [goal.kind for goal in find_everything(GoalContext.of(seen), {}, limits)]
 
     (there,) = from_source(open_goals, output).p_map
@@ -127,6 +128,7 @@ def test_where_the_robot_has_been_no_open_edge_is_a_goal(toy: Toy) -> None:
     assert GoalKind.OPEN in kinds()
     assert GoalKind.OPEN in kinds(far)
     assert kinds(far, near) == [kind for kind in kinds() if kind != GoalKind.OPEN]  # all else stays
+    assert GoalKind.OPEN in kinds(near, current=0)
 
 
 def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:

@@ -366,6 +366,16 @@ class PoseGuard:
         off = math.dist(won.at.T_map_robot[:2], belief.T_map_robot[:2]) if won else math.inf
         return off < 2.0 * self.config.inlier_m
 
+    def is_same(self, evidence: Evidence, one: Belief, other: Belief) -> bool:
+        """True when beams and corners agree with one pose, and the other is the same place: odometry has not failed.
+
+        That a corner more is recognised there tells nothing: seen on a large floor, where another place explains a scan
+        as well, the robot gave up a pose that was right to 2 cm.
+        """
+        x, y, heading = (one.T_map_robot - other.T_map_robot).tolist()
+        agrees = evidence.said.is_strong and not evidence.sudden
+        return agrees and max(math.hypot(x, y), abs(wrap_angle(heading))) <= self.config.inlier_m
+
     def _index(self, view: MapView) -> LandmarkIndex:
         return LandmarkIndex(view, self.config, self.reach_m, self.pairing)
 
@@ -396,7 +406,7 @@ class PoseGuard:
         It is near when odometry that was wrong as much as it reported, and no more, is all between it and `predicted`.
         """
         said = agreement(beams, at.T_map_robot, grid, self.reach_m, self.config.explained_share)
-        recognised = len(at.corners) / max(len(corners), 1)
+        recognised = (len(corners) - at.misfit) / max(len(corners), 1)
         explained = recognised if math.isnan(said.explained) else said.explained
         (x, y, heading), slack = at.T_map_robot - predicted, self.config.inlier_m
         near = math.hypot(x, y) < self.travelled + slack and abs(wrap_angle(heading)) < self.turned + slack

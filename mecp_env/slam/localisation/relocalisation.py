@@ -230,7 +230,7 @@ class Hypothesis(NamedTuple):
     at: Located
     share: float  # of the beams in mapped space that agree, nan: nothing is mapped there
     explained: float  # share of all beams, or of the corners, that the map explains
-    recognised: float  # share of the corners that it puts on a landmark
+    recognised: float  # share of the corners that it puts on a landmark, less by how far they are off
     near: bool  # failed odometry may be all that is between it and the prediction
 
     def is_sound(self, config: LocalisationConfig) -> bool:
@@ -243,14 +243,13 @@ class Hypothesis(NamedTuple):
         explains = self.explained >= least and (self.near or self.recognised >= least)
         return explains and not self.share < least
 
-    def may_be(self, other: Hypothesis, margin: int) -> bool:
-        """True when the robot may as well be at the `other` pose: `margin` corners more would tell.
+    def may_be(self, other: Hypothesis, config: LocalisationConfig) -> bool:
+        """True when the robot may as well be at the `other` pose: nearly as many corners, or more beams, speak for it.
 
-        Those that lie off their landmarks there, all together, tell as well: in a room that looks the same turned
-        around, each does by some centimetres.
+        In a room that looks the same turned around, as many lie near a landmark there, but hardly one lies on it.
         """
-        as_many = len(other.at.corners) > len(self.at.corners) - margin
-        return (as_many and other.at.misfit <= self.at.misfit + margin) or other.share > self.share
+        as_many = len(other.at.corners) > len(self.at.corners) - config.margin
+        return (as_many and other.recognised >= config.explained_share) or other.share > self.share
 
 
 NOWHERE = Hypothesis(Located(np.zeros(3), np.zeros((3, 3)), NO_IDS, NO_IDS), 0.0, -1.0, 0.0, near=False)
@@ -265,7 +264,7 @@ def clear_winner(hypotheses: list[Hypothesis], config: LocalisationConfig) -> Hy
     """
     best, *others = _candidates(hypotheses, config) or [NOWHERE]
     enough = len(best.at.corners) + best.near >= config.least_corners
-    rivals = (one for one in others if best.may_be(one, config.margin))
+    rivals = (one for one in others if best.may_be(one, config))
     clear = enough and best.is_sound(config) and not any(best.at.differs_from(one.at) for one in rivals)
     return best if clear else None
 

@@ -130,10 +130,9 @@ def test_a_pose_wins_only_where_no_other_explains_as_much():
 
 def test_of_two_poses_with_as_many_corners_the_one_that_they_fit_wins():
     right, twin = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([6, 5, 4, 3, 2, 1], (5.0, 0.0, 3.1))
-    worse = replace(twin.at, misfit=CONFIG.margin + 0.1)
-    assert clear_winner([right, twin._replace(at=worse)], CONFIG) is right
-    assert clear_winner([right, twin._replace(at=replace(worse, misfit=1.0))], CONFIG) is None
-    assert clear_winner([right._replace(share=0.9), twin._replace(at=worse)], CONFIG) is None  # more beams agree there
+    assert clear_winner([right, twin._replace(recognised=0.6)], CONFIG) is right
+    assert clear_winner([right, twin._replace(recognised=0.7)], CONFIG) is None
+    assert clear_winner([right._replace(share=0.9), twin._replace(recognised=0.6)], CONFIG) is None  # more beams agree
 
 
 @pytest.mark.parametrize(("differs_m", "found"), [(0.0, False), (0.005, False), (0.1, True)])
@@ -148,7 +147,7 @@ def test_a_room_that_looks_the_same_turned_around_is_told_by_centimetres(differs
     poses = LandmarkIndex(view, CONFIG, REACH_M, PAIRING).locate(corners, ())
     assert {round(abs(at.T_map_robot[2]), 1) for at in poses} == {0.0, 3.1}
     assert poses[0].misfit == pytest.approx(0.0, abs=1e-6)
-    best = clear_winner([Hypothesis(at, 1.0, 1.0, 1.0, near=False) for at in poses], CONFIG)
+    best = clear_winner([Hypothesis(at, 1.0, 1.0, 1.0 - at.misfit / 8, near=False) for at in poses], CONFIG)
     assert (best is not None) == found
     assert best is None or np.allclose(best.at.T_map_robot, 0.0, atol=1e-6)
 
@@ -317,6 +316,19 @@ def test_confidence_falls_with_the_covariance_of_the_position(mapped):
     assert guard.confidence(belief) == before
     sure, wide = (guard.confidence(replace(belief, pose_cov=np.eye(3) * sigma**2)) for sigma in (0.05, 0.5))
     assert wide == pytest.approx((1.0 - math.exp(-0.5)) * sure, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("share", "sudden", "off_m", "same"),
+    [(1.0, False, 0.05, True), (1.0, False, 0.2, False), (1.0, True, 0.05, False), (0.7, False, 0.05, False)],
+)
+def test_a_corner_more_at_the_same_place_is_no_sign_of_failed_odometry(
+    share: float, sudden: bool, off_m: float, same: bool
+) -> None:
+    one, other = make.belief((3.0, 2.0, 3.1)), make.belief((3.0, 2.0 + off_m, -3.1))
+    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
+    assert guard.is_same(evidence(share, 0.5, sudden=sudden), one, other) == same
+    assert not guard.is_same(evidence(1.0, 0.5), one, make.belief((3.0, 2.0, 2.9)))
 
 
 def way_back(drive, error):
