@@ -211,19 +211,23 @@ def test_odometry_is_doubted_only_where_the_first_attempt_settles_nothing(mappin
     assert [update["iterate"] for update in updates] == iterated
 
 
-@pytest.mark.parametrize(("nearly_fits", "clear"), [(False, False), (True, False), (False, True)])
+@pytest.mark.parametrize(
+    ("nearly_fits", "clear", "same"),
+    [(False, False, False), (True, False, False), (False, True, False), (False, False, True)],
+)
 def test_a_pose_of_failed_odometry_counts_where_the_first_nearly_fits_or_a_search_finds_it(
-    mapping, monkeypatch, nearly_fits, clear
+    mapping, monkeypatch, nearly_fits, clear, same
 ):
-    """Otherwise another place may look like this one: the scan changes nothing."""
+    """Otherwise another place may look like this one: the scan changes nothing, unless both poses are one place."""
     pipeline, step = mapping
     monkeypatch.setattr(Evidence, "fits", property(lambda _: False))
     monkeypatch.setattr(Evidence, "nearly_fits", property(lambda _: nearly_fits))
     monkeypatch.setattr(Evidence, "beats", lambda *_: True)
     monkeypatch.setattr(Evidence, "settles", lambda *_: False)
     monkeypatch.setattr(PoseGuard, "is_clear", lambda *_: clear)
+    monkeypatch.setattr(PoseGuard, "is_same", lambda *_: same)
     pipeline.step(*step)
-    assert pipeline.guard.is_sure == (nearly_fits or clear)
+    assert pipeline.guard.is_sure == (nearly_fits or clear or same)
 
 
 @pytest.mark.parametrize("wide", [False, True])
