@@ -56,7 +56,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
 def test_every_picture_has_metres_a_legend_and_a_bounded_size(small: None, tmp_path: Path) -> None:
     pictures = figures.pictures(Options())
     assert list(pictures) == [f"fig{number}" for number in range(2, 9)]
-    assert all(picture.legends for picture in pictures.values())
+    assert all(picture.legends for name, picture in pictures.items() if name != "fig8")  # a frame has its own
     for picture in list(pictures.values())[:5]:  # the others are of the package
         assert {(axes.get_xlabel(), axes.get_ylabel()) for axes in picture.axes} == {("x (m)", "y (m)")}
     command.save_pictures(pictures, tmp_path / "figures")
