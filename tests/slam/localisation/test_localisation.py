@@ -14,7 +14,6 @@ from mecp_env.slam.config import AssociationConfig, FilterConfig, LocalisationCo
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.localisation import PoseGuard, agreement, count_ends
 from mecp_env.slam.localisation.relocalisation import (
-    Hypothesis,
     LandmarkIndex,
     clear_winner,
     count_distinct,
@@ -147,7 +146,8 @@ def test_a_room_that_looks_the_same_turned_around_is_told_by_centimetres(differs
     poses = LandmarkIndex(view, CONFIG, REACH_M, PAIRING).locate(corners, ())
     assert {round(abs(at.T_map_robot[2]), 1) for at in poses} == {0.0, 3.1}
     assert poses[0].misfit == pytest.approx(0.0, abs=1e-6)
-    best = clear_winner([Hypothesis(at, 1.0, 1.0, 1.0 - at.misfit / 8, near=False) for at in poses], CONFIG)
+    found_there = [make.hypothesis([], recognised=1.0 - at.misfit / 8)._replace(at=at) for at in poses]
+    best = clear_winner(found_there, CONFIG)
     assert (best is not None) == found
     assert best is None or np.allclose(best.at.T_map_robot, 0.0, atol=1e-6)
 
