@@ -25,9 +25,7 @@ from mecp_env.core.se2 import between, composed, wrapped
 from mecp_env.core.sensors import Scan
 from mecp_env.logs.odometry_model import measured
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
-from mecp_env.slam.frontend.scan import merge_sweeps, restore_lost_beams
-from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import MergedScan, Segments
 from mecp_env.slam.panorama.registration import RegistrationLimits, Surfaces, register_all, surfaces_of
 
@@ -67,12 +65,8 @@ class View:
 
 def view(scan: Scan, config: SlamConfig) -> View:
     """The surfaces of a scan, by the stages of the estimator."""
-    sensor = config.sensor
-    beams = restore_lost_beams(merge_sweeps(scan, sensor), sensor)
-    clusters = cluster_beams(beams, config.clustering, config.segments, sensor)
-    segments = extract_segments(beams, clusters, config.segments, sensor)
-    wall = beams_on_walls(clusters, beams)
-    return View(surfaces_of(beams, segments, wall, sensor), beams, segments)
+    seen = front_end(scan, config)
+    return View(surfaces_of(seen.beams, seen.segments, seen.wall, config.sensor), seen.beams, seen.segments)
 
 
 def range_noise(scan_at: Callable[[int], Scan], scans: int, config: SlamConfig) -> float:
