@@ -113,10 +113,8 @@ class ReplayError(MecpError):
 def write_page(run: dict[str, Any], path: Path) -> None:
     """Write the page that plays a run (`Recorder.run`, `read_page`). Raises `OSError`."""
     packed = gzip.compress(json.dumps(run, separators=(",", ":")).encode(), 9, mtime=0)
-    parts = {
-        name: (files(__package__) / "player" / name).read_text("utf-8")
-        for name in ("page.html", "style.css", "player.js")
-    }
+    player = files(__package__) / "player"
+    parts = {name: (player / name).read_text("utf-8") for name in ("page.html", "style.css", "player.js")}
     texts = {"title": html.escape(run["title"]), "version": str(VERSION), "run": base64.b64encode(packed).decode()}
     texts |= {"style": parts["style.css"], "player": parts["player.js"]}
     page = MARK.sub(lambda mark: texts[mark[1]], parts["page.html"])  # at once: a text may hold what looks like a mark
