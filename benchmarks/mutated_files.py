@@ -23,6 +23,7 @@ import numpy as np
 from mecp_env.cli.demo import recipe_of
 from mecp_env.config import EnvConfig
 from mecp_env.evaluation.log_run import LogRunConfig, run_log
+from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import save_svg
 from mecp_env.logs import read_log
@@ -113,11 +114,11 @@ def text_file(name: str, text: Callable[[], str]) -> Callable[[Path], Path]:
     return write
 
 
-def csv() -> str:
+def write_csv(folder: Path) -> Path:
     """The drive as a table."""
-    text, head = io.StringIO(), ",".join(["t,x,y,heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
-    np.savetxt(text, np.column_stack(drive()), "%.4f", ",", header=head, comments="")
-    return text.getvalue()
+    head = ",".join(["t,x,y,heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
+    np.savetxt(folder / "a.csv", np.column_stack(drive()), "%.4f", ",", header=head, comments="")
+    return folder / "a.csv"
 
 
 def dat() -> str:
@@ -128,12 +129,6 @@ def dat() -> str:
         for k, (s, row) in enumerate(zip(t, ranges, strict=True))
     ]
     return "\n".join([*rows, ""])
-
-
-def tum() -> str:
-    """The poses alone, which is no log of a laser."""
-    rows = [f"{s} {x} {y} 0 0 0 {np.sin(h / 2)} {np.cos(h / 2)}" for s, (x, y, h) in zip(*drive()[:2], strict=True)]
-    return "\n".join(rows)
 
 
 def use_plan(path: Path) -> None:
@@ -246,9 +241,9 @@ KINDS: dict[str, Kind] = {
         )
         for line in ("flaser", "robotlaser", "rawlaser")
     },
-    "log csv": Kind(text_file("a.csv", csv), text_or_bytes, use_log),
+    "log csv": Kind(write_csv, text_or_bytes, use_log),
     "log dat": Kind(text_file("a.dat", dat), text_or_bytes, use_log),
-    "log tum": Kind(text_file("a.tum", tum), text_or_bytes, use_log),
+    "log tum": Kind(text_file("a.tum", lambda: tum(*drive()[:2])), text_or_bytes, use_log),
     "log bag": Kind(lambda folder: write_bag(folder / "a.bag"), text_or_bytes, use_log),
     "log mcap": Kind(lambda folder: write_bag(folder / "a.mcap"), text_or_bytes, use_log),
     "plan layout": Kind(text_file("a.json", lambda: load_layout("furnished").to_json()), spoilt, use_plan),
