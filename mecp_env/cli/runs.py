@@ -53,6 +53,7 @@ FOUND = (
     "rooms {rooms_found:.0f}/{rooms:.0f} doors {doors_found:.0f}/{doors:.0f} seen {coverage:.1%} "
     "error {error_cm:.1f} cm {speed:,.0f} steps/s"
 )
+AT_SCANS = "  that hit two scans"
 ROWS = (  # shown name, format; left out where a metric is missing
     ("rooms found", "{rooms_found:.0f} of {rooms:.0f}, {rooms_false:.0f} false"),
     ("doors found", "{doors_found:.0f} of {doors:.0f}, {doors_false:.0f} false"),
@@ -72,12 +73,9 @@ ROWS = (  # shown name, format; left out where a metric is missing
     ("trajectory error", "RMSE {ate_m:.3f} m, {ate_deg:.2f} deg; dead reckoning {dead_reckoning_ate_m:.3f} m"),
     ("  final", "RMSE {final_ate_m:.3f} m, {final_ate_deg:.2f} deg"),
     ("relations", "mean {relations_m:.3f} m, {relations_deg:.2f} deg ({relations} relations)"),
-    (
-        "  that hit two scans",
-        "mean {relations_at_scans_m:.3f} m, {relations_at_scans_deg:.2f} deg ({relations_at_scans})",
-    ),
+    (AT_SCANS, "mean {relations_at_scans_m:.3f} m, {relations_at_scans_deg:.2f} deg ({relations_at_scans})"),
     ("relations, final", "mean {final_relations_m:.3f} m, {final_relations_deg:.2f} deg"),
-    ("  that hit two scans", "mean {final_relations_at_scans_m:.3f} m, {final_relations_at_scans_deg:.2f} deg"),
+    (AT_SCANS, "mean {final_relations_at_scans_m:.3f} m, {final_relations_at_scans_deg:.2f} deg"),
     ("final trajectory", "{final_steps} steps, {final_s:.1f} s"),
     ("time per scan", "median {ms_per_scan_median:.1f} ms, mean {ms_per_scan_mean:.1f} ms"),
 )

@@ -145,10 +145,8 @@ def packed_run(path: Path) -> bytes:
     if found is None:
         raise ReplayError(f"{path}: no replay of mecp_env, or a part of it is missing; {AGAIN}")
     if int(found[1]) > VERSION:
-        version = found[1].decode()
-        raise ReplayError(
-            f"{path}: version {version:.20} of the replay, this mecp_env reads up to {VERSION}; update it"
-        )
+        made = found[1].decode()  # of nine digits at most
+        raise ReplayError(f"{path}: version {made} of the replay, this mecp_env reads up to {VERSION}; update it")
     try:
         return base64.b64decode(found[2], validate=True)
     except ValueError as error:
