@@ -285,12 +285,15 @@ class LogFiles:
 
 def _keep_final(folder: Path, run: LogRun, name: str, metrics: Mapping[str, Any]) -> None:
     """Write landmarks, grid and picture of the smoothed path."""
-    output, path = run.final_output, run.T_final_robot[run.scored, :2]
-    output.export(landmarks=folder / "landmarks_final.csv", grid=folder / "belief_final.yaml")
+    run.final_output.export(landmarks=folder / "landmarks_final.csv", grid=folder / "belief_final.yaml")
     errors = {key.removeprefix(FINAL): value for key, value in metrics.items() if key.startswith(FINAL)}
+    _keep_map(folder / "map_final.png", final_view(run, _caption(f"{name}, final trajectory", {**metrics, **errors})))
+
+
+def final_view(run: LogRun, title: str) -> SceneView:
+    """The map and both paths after the smoothing."""
     reference = _reference(replace(run, T_map_robot=run.T_final_robot))
-    view = _view(output, path, reference[:, :2], _caption(f"{name}, final trajectory", {**metrics, **errors}))
-    _keep_map(folder / "map_final.png", view)
+    return _view(run.final_output, run.T_final_robot[run.scored, :2], reference[:, :2], title)
 
 
 def _reference(run: LogRun) -> Array:
