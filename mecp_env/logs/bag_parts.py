@@ -45,8 +45,7 @@ def unpacker_of(data: bytes) -> Any:
 def unpacked_message(data: bytes) -> bytes:
     """The data of a message, which are packed where a part is read without the description of its bag."""
     packed = bytes(data[:4]) == ZSTD
-    unpacked: bytes = unpacker_of(ZSTD).decompress(data, max_length=MOST_MESSAGE) if packed else data
-    return unpacked
+    return unpacker_of(ZSTD).decompress(data, max_length=MOST_MESSAGE) if packed else data
 
 
 def check_parts(path: Path, most: int) -> None:
