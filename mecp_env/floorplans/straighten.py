@@ -106,29 +106,32 @@ def directions(area: Polygon) -> tuple[float, ...]:
 
 def along_directions(area: Polygon) -> float:
     """The share of the length of all edges of `area` that goes along one of its directions."""
-    axes = directions(area)
-    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
-    length, angle = np.hypot(*edges.T), np.arctan2(edges[:, 1], edges[:, 0])
-    near = [np.abs(_quarter(angle - axis)) < DRAWN_AXIS for axis in axes]
+    length, angle = _edges(area)
+    near = [np.abs(quarter(angle - axis)) < DRAWN_AXIS for axis in directions(area)]
     return float(length[np.logical_or.reduce(near)].sum() / length.sum()) if near else 0.0
 
 
 def _voted(area: Polygon) -> tuple[float, tuple[float, ...]]:
     """The share of all edges that have the main direction, and the directions."""
-    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
-    length, angle = np.hypot(*edges.T), _quarter(np.arctan2(edges[:, 1], edges[:, 0]))
+    length, angle = _edges(area)
     weight = length**2 / (length + 0.5)  # a short edge says little about a direction
     found: list[tuple[float, float]] = []
     for _ in range(AXES):
-        near = np.abs(_quarter(angle - _peak(angle, weight))) < ONE_AXIS
+        near = np.abs(quarter(angle - _peak(angle, weight))) < ONE_AXIS
         share = float(weight[near].sum() / length.sum())
         if share < AXIS_SHARE:
             break
         first = angle[near][int(np.argmax(weight[near]))]
-        axis = float(_quarter(first + np.average(_quarter(angle[near] - first), weights=weight[near])))
+        axis = float(quarter(first + np.average(quarter(angle[near] - first), weights=weight[near])))
         found.append((share, 0.0 if abs(axis) < LEVEL else axis))
-        weight = np.where(np.abs(_quarter(angle - axis)) < OTHER_AXIS, 0.0, weight)
+        weight = np.where(np.abs(quarter(angle - axis)) < OTHER_AXIS, 0.0, weight)
     return found[0][0] if found else 0.0, tuple(axis for _, axis in found)
+
+
+def _edges(area: Polygon) -> tuple[Array, Array]:
+    """The lengths (n,) of all edges, and their directions (n,), rad modulo a right angle."""
+    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
+    return np.hypot(*edges.T), quarter(np.arctan2(edges[:, 1], edges[:, 0]))
 
 
 def _peak(angle: Array, weight: Array) -> float:
@@ -139,7 +142,7 @@ def _peak(angle: Array, weight: Array) -> float:
     return float((int(np.argmax(spread)) + 0.5) * (math.pi / 2.0) / BINS - math.pi / 4.0)
 
 
-def _quarter(angle: Any) -> Any:
+def quarter(angle: Any) -> Any:
     """`angle` modulo a right angle, in [-pi/4, pi/4)."""
     return np.mod(angle + math.pi / 4.0, math.pi / 2.0) - math.pi / 4.0
 
@@ -199,7 +202,7 @@ def _span(chain: Array) -> float:
 def _line(chain: Array, noise_m: float, axes: tuple[float, ...]) -> Line:
     step = chain[-1] - chain[0]
     length, angle = math.hypot(*step), math.atan2(step[1], step[0])
-    off = min((float(_quarter(axis - angle)) for axis in axes), key=abs, default=math.inf)
+    off = min((float(quarter(axis - angle)) for axis in axes), key=abs, default=math.inf)
     on_axis = abs(off) < NEAR_AXIS and length * abs(math.sin(off)) <= 2.0 * noise_m
     angle = angle + off if on_axis else angle
     pieces = np.hypot(*(chain[1:] - chain[:-1]).T)
