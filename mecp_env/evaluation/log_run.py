@@ -246,10 +246,8 @@ def config_for(log: Log, fields: Mapping[str, Any] | None = None, calibration: C
 
     `fields` of `SlamConfig` override both.
     """
-    fields, found = (
-        dict(fields or {}),
-        {} if calibration is None else calibration.sensor.model_dump(include=set(OF_SENSOR)),
-    )
+    fields = dict(fields or {})
+    found = {} if calibration is None else calibration.sensor.model_dump(include=set(OF_SENSOR))
     return SlamConfig.parse(fields | {"sensor": sensor_of(log, found | dict(fields.get("sensor", {})))})
 
 
@@ -272,8 +270,7 @@ class LogDrive:
     def __post_init__(self) -> None:
         """Make odometry of the scans where there is none. Raises `LogError` where the log lacks what is asked for."""
         if self.config.odometry == "none" or (self.config.odometry == "log" and self.log.T_odom_robot is None):
-            made = replace(registered(self.log), notes=(*self.log.notes, REGISTERED))
-            self.log = made
+            self.log = replace(registered(self.log), notes=(*self.log.notes, REGISTERED))
         self._path()
         self.trace = Trace(self.pipeline)
 

@@ -166,8 +166,7 @@ def _moving_rows(T_odom_robot: Array) -> tuple[Ints, int]:
 
 def _size(motions: Array) -> Array:
     """(n,) of motions (n,3), 1 for one that is worth registering."""
-    size: Array = np.hypot(motions[:, 0], motions[:, 1]) / LEAST_M + abs(motions[:, 2]) / LEAST_RAD
-    return size
+    return np.hypot(motions[:, 0], motions[:, 1]) / LEAST_M + abs(motions[:, 2]) / LEAST_RAD
 
 
 def _blocks(rows: Ints) -> list[Ints]:
@@ -181,8 +180,7 @@ def _prior(step: Array) -> Array:
     """(3,3) covariance of a motion (3,) by odometry of which nothing is known."""
     metres, turn = math.hypot(*step[:2]), abs(float(step[2]))
     spread_m, spread_rad = PRIOR_M + GROWTH * metres, PRIOR_RAD + GROWTH * (math.sqrt(metres) + turn)
-    prior: Array = np.diag([spread_m, spread_m, spread_rad]) ** 2
-    return prior
+    return np.diag([spread_m, spread_m, spread_rad]) ** 2
 
 
 class Residuals(NamedTuple):
