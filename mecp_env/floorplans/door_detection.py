@@ -96,17 +96,11 @@ class Walls:
         return cls(area, faces, shapely.STRtree(shapely.linestrings(faces)), np.empty((0, 2, 2)))
 
     def near(self, points: Array, along: Array) -> Array:
-        """Faces and closed doors (n,2,2) within sight of `points` (k,2) against `along` or with it."""
+        """Faces (n,2,2) within sight of `points` (k,2) against `along` or with it, and all closed doors."""
         margin = SIGHT_M * np.abs(along) + BESIDE_M
         low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
         faces = self.faces[self.tree.query(shapely.box(*low, *high))]
-        return np.concatenate([faces, self.closed_near((low + high) / 2.0, math.dist(low, high))])
-
-    def closed_near(self, point: Array, reach_m: float) -> Array:
-        """Closed doors (n,2,2) that may lie within reach of a point (2,)."""
-        far = np.abs(self.closed[:, 0] - point).max(axis=1, initial=0.0)
-        near: Array = self.closed[far < reach_m + SIGHT_M]
-        return near
+        return np.concatenate([faces, self.closed])
 
 
 def find_doors(area: Polygon, axes: tuple[float, ...], options: PlanOptions) -> list[Gap]:
@@ -152,9 +146,8 @@ def is_between_walls(gap: Gap, area: Polygon) -> bool:
 
 def _crosses(gap: Gap, walls: Walls) -> bool:
     """Whether the doorway touches one that is closed already, or is the same drawn once more."""
-    closed = walls.closed_near(gap.centre, gap.width_m)
-    touching = shapely.distance(shapely.linestrings(closed), LineString(gap.closing)) < 0.02
-    same = np.linalg.norm(closed.mean(axis=1) - gap.centre, axis=1) < SAME_DOOR_M
+    touching = shapely.distance(shapely.linestrings(walls.closed), LineString(gap.closing)) < 0.02
+    same = np.linalg.norm(walls.closed.mean(axis=1) - gap.centre, axis=1) < SAME_DOOR_M
     return bool(np.any(touching | same))
 
 

@@ -35,6 +35,7 @@ DRAWN_AXIS = math.radians(3.0)  # an edge of a drawing that is nearer goes along
 BINS, SPREAD = 360, 6  # of a quarter of a degree; a peak is so many bins wide on either side
 LEVEL = math.radians(0.25)  # a building turned by less is along x and y
 NEAR_AXIS = math.radians(40.0)  # no edge is turned by more
+PARALLEL = 0.999  # the cosine of two edges along one direction is above
 BLUNT = math.radians(20.0)  # lines that meet at less have their corner where it was drawn
 
 
@@ -48,6 +49,10 @@ class Line:
     middle: Array  # (2,) m, of what was drawn
     end: Array  # (2,) m, the corner drawn between this edge and the next
     on_axis: bool
+
+    def cosine(self, other: Line) -> float:
+        """That of the angle to another edge, 0 where one of both is not along a direction of the building."""
+        return math.cos(self.angle - other.angle) if self.on_axis and other.on_axis else 0.0
 
 
 class Try(NamedTuple):
@@ -220,8 +225,8 @@ def _squared(lines: list[Line], noise_m: float) -> list[Line]:
     kept = []
     for before, line, after in zip([lines[-1], *lines[:-1]], lines, [*lines[1:], lines[0]], strict=True):
         bevel = before.on_axis and after.on_axis and _is_oblique(line, before, noise_m)
-        turn = math.cos(before.angle - after.angle)
-        if bevel and turn < -0.999:
+        turn = before.cosine(after)
+        if bevel and turn < -PARALLEL:
             kept.append(_end_of_wall(before, line))
         elif not bevel or abs(turn) > 0.1:
             kept.append(line)
@@ -254,13 +259,9 @@ def _lines_of_end(face: Line, after: list[Line], noise_m: float) -> int:
         if np.abs(along).max() > reach or np.ptp(along) > reach:
             return 0
         between = np.abs(across - across[-1] / 2.0).max() <= abs(across[-1]) / 2.0 + noise_m
-        if between and _are_faces(face, after[count]) and min(face.length, after[count].length) > reach:
+        if between and face.cosine(after[count]) < -PARALLEL and min(face.length, after[count].length) > reach:
             return count
     return 0
-
-
-def _are_faces(a: Line, b: Line) -> bool:
-    return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) < -0.999
 
 
 def _is_oblique(line: Line, face: Line, noise_m: float) -> bool:
@@ -274,12 +275,8 @@ def _end_of_wall(face: Line, line: Line) -> Line:
     return replace(line, angle=square, offset=_offset(square, line.middle), on_axis=True)
 
 
-def _same_direction(a: Line, b: Line) -> bool:
-    return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) > 0.999
-
-
 def _is_one(a: Line, b: Line, noise_m: float) -> bool:
-    return _same_direction(a, b) and abs(a.offset - b.offset) <= noise_m
+    return a.cosine(b) > PARALLEL and abs(a.offset - b.offset) <= noise_m
 
 
 def _merged(lines: list[Line], noise_m: float) -> list[Line]:
@@ -302,7 +299,7 @@ def _union(a: Line, b: Line) -> Line:
 
 def _with_step(a: Line, b: Line) -> list[Line]:
     """`a`, and a line square to it where `b` is parallel to it."""
-    if not (a.on_axis and b.on_axis and abs(math.cos(a.angle - b.angle)) > 0.999):
+    if abs(a.cosine(b)) <= PARALLEL:
         return [a]
     across = a.angle + math.copysign(math.pi / 2.0, (b.end - a.end) @ (-math.sin(a.angle), math.cos(a.angle)) or 1.0)
     return [a, Line(across, _offset(across, a.end), 0.0, a.end, a.end, True)]
@@ -325,7 +322,7 @@ def _groups(lines: list[Line], in_line_m: float) -> list[list[int]]:
     groups: list[list[int]] = []
     for i in sorted(on_axis, key=lambda i: (round(lines[i].angle % (2.0 * math.pi), 3), lines[i].offset)):
         first = lines[groups[-1][0]] if groups else None
-        if first and _same_direction(first, lines[i]) and lines[i].offset - first.offset <= in_line_m:
+        if first and first.cosine(lines[i]) > PARALLEL and lines[i].offset - first.offset <= in_line_m:
             groups[-1].append(i)
         else:
             groups.append([i])
