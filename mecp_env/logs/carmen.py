@@ -55,8 +55,12 @@ class CarmenLog:
     cut: bool = False  # this line has no end
     others: dict[str, None] = field(default_factory=dict)  # the first kinds of lines that are not read
 
-    def read(self, words: list[str]) -> None:
-        """Take in one line that is neither empty nor a comment, or count it as damaged."""
+    def read(self, number: int, line: bytes) -> None:
+        """Take in one line, unless it is empty or a comment, or count it as damaged."""
+        words = line.removeprefix(codecs.BOM_UTF8).decode("latin-1").split()
+        if not words or words[0].startswith("#"):
+            return
+        self.line, self.cut = number, not line.endswith(b"\n")
         kind, counts = words[0], self.recording.counts
         try:
             if kind in READERS:
@@ -127,10 +131,7 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     for number, line in enumerate(lines_of(data, recording.counts), start=1):
         if number > MOST_LINES + len(data):
             raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
-        log.line, log.cut = number, not line.endswith(b"\n")
-        words = line.removeprefix(codecs.BOM_UTF8).decode("latin-1").split()
-        if words and not words[0].startswith("#"):
-            log.read(words)
+        log.read(number, line)
     kind = _message(log, message)
     recording.counts["scans of another message"] += len(log.kinds) - log.kinds.count(kind)
     recording.sweeps = [sweep for sweep, its in zip(recording.sweeps, log.kinds, strict=True) if its == kind]

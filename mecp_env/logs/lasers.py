@@ -14,7 +14,7 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import between, interpolated, to_map
-from mecp_env.logs.clock import ascending_rows
+from mecp_env.logs.poses import sound
 from mecp_env.logs.readings import Readings
 from mecp_env.logs.recording import Geometry, Sweep, Track
 
@@ -108,12 +108,10 @@ def _partners(t: Array, sweeps: list[Sweep], odometry: Track) -> tuple[Ints, Arr
 
 def _motion(t: Array, other: Array, odometry: Track) -> Array:
     """(n,3) the robot's pose at the stamps `other` (n,) in its frame at t (n,), by the odometry."""
-    stamps = np.array(odometry.t, np.float64)
-    rows = ascending_rows(stamps)
-    if len(rows) < 2:
+    stamps, poses = sound(odometry)
+    if len(stamps) < 2:
         return np.zeros((len(t), 3))
-    poses = np.array(odometry.poses)[rows]
-    return between(*(interpolated(stamps[rows], poses, at) for at in (t, other)))
+    return between(*(interpolated(stamps, poses, at) for at in (t, other)))
 
 
 def _points(readings: Readings, row: int, mount: Array, motion: Array) -> Array:
