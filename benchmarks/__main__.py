@@ -100,15 +100,15 @@ def keep(given: argparse.Namespace, module: Any, options: Options, content: Figu
 
 
 def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
-    """Write each picture into the folder as PNG and SVG, without date and random ids."""
+    """Write each picture into the folder as PNG and SVG."""
     folder.mkdir(parents=True, exist_ok=True)
     for name, picture in pictures.items():
         save_figure(picture, folder / f"{name}.png", dpi=200)
         with Image.open(folder / f"{name}.png") as drawn:
             few = drawn.convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
         few.save(folder / f"{name}.png", optimize=True)
-        with rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
-            picture.savefig(folder / f"{name}.svg", dpi=200, metadata={"Date": None, "Creator": None})
+        with rc_context({"svg.fonttype": "none"}):
+            save_figure(picture, folder / f"{name}.svg", dpi=200)
 
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:

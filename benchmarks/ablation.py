@@ -36,12 +36,8 @@ from mecp_env.slam.association import make_associator
 from mecp_env.slam.config import SlamConfig
 
 PEOPLE, HALLS, LOG, ROUGH, TASK = "people", "halls", "logs", "rough", "ActiveHalls-v0"
-SETS = {
-    **dict.fromkeys(("odometry_x1", "odometry_x4", "range_4_m", "slip_5_pct", HARD, PEOPLE, HALLS), 4),
-    KTH: 3,
-    LOG: 3,
-    ROUGH: 6,
-}
+SETS = dict.fromkeys(("odometry_x1", "odometry_x4", "range_4_m", "slip_5_pct", HARD, PEOPLE, HALLS), 4)
+SETS |= {KTH: 3, LOG: 3, ROUGH: 6}
 FIRST_SEED, FIRST_BUILDING = 60, 800  # after those that other benchmarks are judged by
 EXPLORED: dict[str, tuple[str, dict[str, Any]]] = {  # cell -> buildings of its drives, fields of the environment
     HARD: (HARD, {}),

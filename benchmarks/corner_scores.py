@@ -20,7 +20,7 @@ from mecp_env.slam.frontend.clustering import cluster_beams
 from mecp_env.slam.frontend.corners import extract_corners
 from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.frontend.segments import extract_segments
-from mecp_env.slam.messages import Corners
+from mecp_env.slam.messages import Corners, Doorways
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout
@@ -137,16 +137,17 @@ def doors_well_seen(outline: Outline, laser: Laser, T_world_robot: Array) -> Boo
 
 def front_end(scan: Scan, config: SlamConfig) -> tuple[Corners, Array]:
     """The corners of a scan and the time (4,) of each stage, s."""
-    rule, clock = config.clustering, [time.thread_time()]
-    beams = merge_sweeps(scan, config.sensor, rule.sweeps)
+    rule, lines, laser = config.clustering.record, config.segments.record, config.sensor.record
+    clock = [time.thread_time()]
+    beams = merge_sweeps(scan.ranges, scan.bearings, scan.hit, scan.max_range_m, rule, laser)
     clock.append(time.thread_time())
-    clusters = cluster_beams(beams, rule, config.segments, config.sensor, rule.united(len(scan.ranges)))
+    runs = cluster_beams(beams, rule, lines, laser, config.clustering.united(len(scan.ranges)))
     clock.append(time.thread_time())
-    segments = extract_segments(beams, clusters, config.segments, config.sensor)
+    pieces = extract_segments(beams, runs, lines, laser)
     clock.append(time.thread_time())
-    corners = extract_corners(beams, segments, config.corners, config.sensor)
+    found = extract_corners(beams, pieces, config.corners.record, config.corners.gaps.record, laser)
     clock.append(time.thread_time())
-    return corners, np.diff(clock)
+    return Corners(*found[:7], Doorways(*found[7:])), np.diff(clock)
 
 
 def score_places(places: Sequence[Place], preset: Preset, config: SlamConfig, assumed: str = "") -> list[Score]:

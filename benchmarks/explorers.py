@@ -62,9 +62,5 @@ def explore(task: tuple[str, str, int]) -> dict[str, float]:
 
 def report(figures: Figures) -> str:
     """One table per layout."""
-    return sections(
-        {
-            f"{layout}, {next(iter(explorers.values()))['complete']['n']} seeds": turned(explorers)
-            for layout, explorers in figures.items()
-        }
-    )
+    seeds = {layout: next(iter(explorers.values()))["complete"]["n"] for layout, explorers in figures.items()}
+    return sections({f"{layout}, {seeds[layout]} seeds": turned(explorers) for layout, explorers in figures.items()})

@@ -199,10 +199,8 @@ def errors_of(shown: Shown) -> Figures:
 
 def report(figures: Figures) -> str:
     """The pictures, each with its numbers."""
-    return sections(
-        {
-            f"Figure {name[3:]}: {TITLES[name]}": f"![{TITLES[name]}](figures/{name}.png)\n\n"
-            + table(["figure", "value"], flatten(numbers).items())
-            for name, numbers in figures.items()
-        }
-    )
+    parts = {}
+    for name, numbers in figures.items():
+        below = table(["figure", "value"], flatten(numbers).items())
+        parts[f"Figure {name[3:]}: {TITLES[name]}"] = f"![{TITLES[name]}](figures/{name}.png)\n\n{below}"
+    return sections(parts)

@@ -117,10 +117,7 @@ def measured(drive: Drive, slips: bool = False) -> tuple[Record, Array, Array]:
     if slips:
         steps = between(path[:-1], path[1:])
         motions = [with_slip(motion, step) for motion, step in zip(motions, steps, strict=True)]
-    sightings = [
-        seen(drive, drive.scans[k], drive.T_world_robot[k], to_robot(T, corners))
-        for k, T in zip(moving, path, strict=True)
-    ]
+    sightings = [seen(drive, k, to_robot(T, corners)) for k, T in zip(moving, path, strict=True)]
     sigmas = np.array([config.prior_sigma_m, config.prior_sigma_m, config.prior_sigma_rad])
     return Record(np.zeros(3), np.diag(sigmas**2), motions, sightings), path, corners
 
@@ -133,10 +130,10 @@ def with_slip(motion: Motion, T_true: Array) -> Motion:
     return motion._replace(cov=motion.cov + np.diag(SLIP_SIGMAS**2))
 
 
-def seen(drive: Drive, scan: Any, T_world_robot: Array, p_robot: Array) -> Sighting:
+def seen(drive: Drive, step: int, p_robot: Array) -> Sighting:
     """The corners of a scan that are true ones, without outliers; `p_robot` (m,2) are all true corners."""
-    corners = front_end(scan, drive.slam)[0]
-    true = drive.truth.identify(corners, T_world_robot)
+    corners = front_end(drive.scans[step], drive.slam)[0]
+    true = drive.truth.identify(corners, drive.T_world_robot[step])
     row = np.flatnonzero((true >= 0) & (true < len(p_robot)))
     errors = corners.z[row] - polar(p_robot[true[row]])
     errors[:, 1] = wrapped(errors[:, 1])

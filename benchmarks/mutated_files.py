@@ -16,22 +16,23 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
+from benchmarks.common import RESULTS
 from mecp_env.cli.demo import recipe_of
 from mecp_env.config import EnvConfig
 from mecp_env.evaluation.log_run import LogRunConfig, run_log
+from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans import load_plan
 from mecp_env.floorplans.exporters import save_svg
 from mecp_env.logs import read_log
-from mecp_env.policies.suites import FORMAT, METRICS, SUITES, VERSION, checksum_of, leaderboard, read_submission
+from mecp_env.policies.suites import checksum_of, leaderboard, read_submission
 from mecp_env.render.replay_page import read_page, write_page
 from mecp_env.slam import SlamMap, SlamPipeline
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import build_outline
-from tests.env.test_state_fuzz import PARTS, mutate, nodes
+from tests.env.test_state_fuzz import PARTS, mutate, nodes, other_kind, other_shape, other_values
 from tests.floorplans import plans
 from tests.floorplans.mutations import spoilt, spoilt_bytes, spoilt_json
 from tests.logs import test_fuzz
@@ -39,6 +40,7 @@ from tests.logs.files import BEARINGS, CARMEN, drive, write_archive, write_bag, 
 from tests.slam.drives import Drive, fed, scripted_drive
 
 Rng = np.random.Generator
+RESULT = RESULTS / "suites" / "quick_nearest.json"
 FIRST, SCANS = 3, 4  # scans of a drive after a map was read
 
 
@@ -80,16 +82,9 @@ def other_arrays(path: Path, rng: Rng) -> bytes:
     if rng.random() < 0.2:
         return text_or_bytes(path, rng)
     arrays = dict(np.load(path))
-    name = str(rng.choice(list(arrays)))
-    values = arrays[name].copy()
-    if rng.random() < 0.6:
-        values[rng.random(values.shape) < rng.choice([0.02, 0.3, 1.0])] = rng.choice([np.nan, np.inf, -1.0, 1e300, 0.0])
-    elif rng.random() < 0.5:
-        values = values.astype(str(rng.choice(["f4", "i2", "?", "c16", "U5"])))
-    else:
-        values = values[:: int(rng.integers(2, 4))]
+    name, change = str(rng.choice(list(arrays))), (other_values, other_shape, other_kind)[int(rng.integers(3))]
     file = io.BytesIO()
-    np.savez(file, **arrays | {name: values})
+    np.savez(file, **arrays | {name: change(arrays[name], rng)})
     return file.getvalue()
 
 
@@ -113,11 +108,11 @@ def text_file(name: str, text: Callable[[], str]) -> Callable[[Path], Path]:
     return write
 
 
-def csv() -> str:
+def write_csv(folder: Path) -> Path:
     """The drive as a table."""
-    text, head = io.StringIO(), ",".join(["t,x,y,heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
-    np.savetxt(text, np.column_stack(drive()), "%.4f", ",", header=head, comments="")
-    return text.getvalue()
+    head = ",".join(["t,x,y,heading", *(f"{angle:.4f}" for angle in np.degrees(BEARINGS))])
+    np.savetxt(folder / "a.csv", np.column_stack(drive()), "%.4f", ",", header=head, comments="")
+    return folder / "a.csv"
 
 
 def dat() -> str:
@@ -128,12 +123,6 @@ def dat() -> str:
         for k, (s, row) in enumerate(zip(t, ranges, strict=True))
     ]
     return "\n".join([*rows, ""])
-
-
-def tum() -> str:
-    """The poses alone, which is no log of a laser."""
-    rows = [f"{s} {x} {y} 0 0 0 {np.sin(h / 2)} {np.cos(h / 2)}" for s, (x, y, h) in zip(*drive()[:2], strict=True)]
-    return "\n".join(rows)
 
 
 def use_plan(path: Path) -> None:
@@ -198,18 +187,6 @@ def use_page(path: Path) -> None:
     write_page(read_page(path), path.with_name("again.html"))
 
 
-def result() -> str:
-    """A result of a suite, of one episode."""
-    name, suite = next(iter(SUITES.items()))
-    setting = suite.settings[0]
-    figures = {metric: {"value": 0.5, "low": 0.4, "high": 0.6} for metric in METRICS}
-    row = {"task": setting.task or setting.difficulty, "policy": "mine", "estimator": "slam", "figures": figures}
-    row |= {"episodes": [{"building": 0} | dict.fromkeys(METRICS, 0.5)]}
-    content: dict[str, Any] = {"format": FORMAT, "version": VERSION, "suite": name, "hash": suite.frozen}
-    content |= {"command": "x", "commit": "", "hours": None, "seeds": None, "results": [row]}
-    return json.dumps(content | {"checksum": checksum_of(content)})
-
-
 def other_result(path: Path, rng: Rng) -> bytes:
     """A result with other values, and in most cases the checksum of these."""
     text = spoilt_json(path.read_bytes(), rng)
@@ -246,9 +223,9 @@ KINDS: dict[str, Kind] = {
         )
         for line in ("flaser", "robotlaser", "rawlaser")
     },
-    "log csv": Kind(text_file("a.csv", csv), text_or_bytes, use_log),
+    "log csv": Kind(write_csv, text_or_bytes, use_log),
     "log dat": Kind(text_file("a.dat", dat), text_or_bytes, use_log),
-    "log tum": Kind(text_file("a.tum", tum), text_or_bytes, use_log),
+    "log tum": Kind(text_file("a.tum", lambda: tum(*drive()[:2])), text_or_bytes, use_log),
     "log bag": Kind(lambda folder: write_bag(folder / "a.bag"), text_or_bytes, use_log),
     "log mcap": Kind(lambda folder: write_bag(folder / "a.mcap"), text_or_bytes, use_log),
     "plan layout": Kind(text_file("a.json", lambda: load_layout("furnished").to_json()), spoilt, use_plan),
@@ -259,6 +236,6 @@ KINDS: dict[str, Kind] = {
     "map bytes": Kind(write_map, other_bytes, use_map),
     "map fields": Kind(write_map, other_fields, use_map),
     "replay page": Kind(write_replay, other_page, use_page),
-    "result": Kind(text_file("a.json", result), other_result, use_result),
+    "result": Kind(text_file("a.json", RESULT.read_text), other_result, use_result),
     "run": Kind(text_file("config.json", recipe), spoilt, use_recipe),
 }

@@ -143,14 +143,11 @@ def summarise(drives: list[Figures]) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per cell with one row per variant."""
-    return sections(
-        {
-            f"{cell} ({variants[DEFAULT]['rmse_m']['n']} drives)": table_of(
-                "variant", (*COLUMNS, *OF_RANGE) if cell.startswith("range") else COLUMNS, variants
-            )
-            for cell, variants in figures.items()
-        }
-    )
+    parts = {}
+    for cell, variants in figures.items():
+        columns = (*COLUMNS, *OF_RANGE) if cell.startswith("range") else COLUMNS
+        parts[f"{cell} ({variants[DEFAULT]['rmse_m']['n']} drives)"] = table_of("variant", columns, variants)
+    return sections(parts)
 
 
 def figure(figures: Figures) -> Figure:

@@ -12,6 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Ellipse
+from scipy.linalg import block_diag
 
 from mecp_env.core.carriers import Array, Bytes, Ints
 from mecp_env.core.se2 import polar_to_points
@@ -84,10 +85,7 @@ def in_the_map(belief: Filter, ids: Ints) -> Centre:
 def in_the_scan(corners: Corners, index: Ints) -> Centre:
     """The polygon of corners `index` (k,) of one scan, in the frame of the robot."""
     z, R = corners.measurements(index)
-    J = np.zeros((2 * len(z), 2 * len(z)))
-    for i, (r, b) in enumerate(z.tolist()):
-        c, s = math.cos(b), math.sin(b)
-        J[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = [[c, -r * s], [s, r * c]]
+    J = block_diag(*([[np.cos(b), -r * np.sin(b)], [np.sin(b), r * np.cos(b)]] for r, b in z))
     return Centre(polar_to_points(z), J @ R @ J.T)
 
 

@@ -28,12 +28,9 @@ SITES = (5, 10, 15, 20, 30, 40)
 GROUPS = 5  # of sets of sites, over which an exponent spreads
 SIGMAS = np.full(max(SITES), 0.02)  # m
 LIMITS = PolygonConfig().record[0]
-BEAMS = EdgeBeams(
-    np.full(720, 9.0),
-    (np.arange(720, dtype=np.float64) + 0.5) * math.pi / 360.0 - math.pi,
-    np.ones(720, np.bool_),
-    math.pi / 360.0,
-)
+SPACING = math.pi / 360.0
+BEARINGS = (np.arange(720, dtype=np.float64) + 0.5) * SPACING - math.pi
+BEAMS = EdgeBeams(np.full(720, 9.0), BEARINGS, np.ones(720, np.bool_), SPACING)
 
 
 def measure(sets: int = 100) -> Figures:

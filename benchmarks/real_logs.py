@@ -11,13 +11,11 @@ from PIL import Image
 
 from benchmarks import karto
 from benchmarks.common import Figures, estimate, is_installed, shared_data
-from mecp_env.core.se2 import composed
+from mecp_env.cli.runs import final_view
 from mecp_env.evaluation.calibration import Calibration, calibrate_log
 from mecp_env.evaluation.log_run import LogRun, LogRunConfig, config_for, run_log
-from mecp_env.evaluation.trajectory import align
 from mecp_env.logs import Log, read_log
 from mecp_env.render.screen import map_picture
-from mecp_env.render.shapes import SceneView
 
 MAPS = Path("runs/real")  # pictures of each log, and of the first start in each plan
 
@@ -62,7 +60,7 @@ def map_log(name: str, seed: int, scans: int | None = None) -> Figures:
     run = run_log(log, run=options, calibration=calibration)
     if seed == 0:
         MAPS.mkdir(parents=True, exist_ok=True)
-        Image.fromarray(map_picture(view_of(run))).save(MAPS / f"{name}.png")
+        Image.fromarray(map_picture(final_view(run, name))).save(MAPS / f"{name}.png")
     return run.metrics() | (rival_of(run) if is_installed(karto.PACKAGE) else {})
 
 
@@ -71,16 +69,6 @@ def rival_of(run: LogRun) -> Figures:
     rows, raw = np.searchsorted(run.log.t, run.t), run.log.T_odom_robot
     odometry = run.T_odom_robot if raw is None else raw[rows]  # made of the reference path, or that of the log
     return karto.figures(run.log, rows, karto.run(run.log, rows, odometry))
-
-
-def view_of(run: LogRun) -> SceneView:
-    """The map, and both paths in its frame, all smoothed."""
-    path, reference = run.T_final_robot[run.scored], np.empty((0, 2))
-    if run.T_ref_robot is not None:
-        T_ref = run.T_ref_robot[run.scored]
-        reference = composed(align(path[:, :2], T_ref[:, :2]), T_ref)[:, :2]
-    frames = np.empty((0, 2, 2)), path[-1], np.zeros(3)
-    return SceneView(*frames, reference, path[:, :2], run.final_output, title=run.log.name)
 
 
 def summarise(runs: list[dict[str, Any]]) -> Figures:

@@ -28,6 +28,7 @@ from mecp_env.world.laser import Laser, _cast
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import Outline, build_outline, random_free_pose
 from mecp_env.wrappers import GoalActions
+from tests.slam.scans import cast
 
 LAYOUT = "paper"
 
@@ -88,7 +89,7 @@ def rays(poses: int) -> Figures:
         "kernel_us": median_us(lambda pose: _cast(faces, pose, angles, spacing, 0.0), places),
         "laser_with_noise_us": median_us(lambda pose: laser.scan(pose, rng), places),
         "pymunk_us": median_us(lambda pose: query_pymunk(space, pose), few, repeats=3),
-        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline.segments, pose), few, repeats=3),
+        "brute_force_numpy_us": median_us(lambda pose: brute_force(outline, pose), few, repeats=3),
     }
 
 
@@ -116,16 +117,10 @@ def query_pymunk(space: pymunk.Space, T_world_robot: Array) -> list[float]:
     return ranges
 
 
-def brute_force(segments: Array, T_world_robot: Array) -> Array:
-    """Ranges (720,) of every ray against every face."""
-    angles = angles_at(T_world_robot)
-    dx, dy = np.cos(angles)[:, None], np.sin(angles)[:, None]
-    ax, ay = (segments[:, 0] - T_world_robot[:2]).T
-    ex, ey = (segments[:, 1] - segments[:, 0]).T
-    with np.errstate(divide="ignore", invalid="ignore"):
-        along = (ax * ey - ay * ex) / (dx * ey - dy * ex)
-        share = (ax * dy - ay * dx) / (dx * ey - dy * ex)
-    return np.where((along > 0.0) & (share >= 0.0) & (share <= 1.0), along, np.inf).min(axis=1)
+def brute_force(outline: Outline, T_world_robot: Array) -> Array:
+    """Ranges (720,) of every ray against every face, by NumPy."""
+    ranges: Array = cast(outline.segments - T_world_robot[:2], angles_at(T_world_robot))
+    return ranges
 
 
 def report(figures: Figures) -> str:

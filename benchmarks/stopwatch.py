@@ -27,6 +27,7 @@ from mecp_env.world.simulation import Simulation
 env: Any = mecp_env.env
 pipeline: Any = mecp_env.slam.pipeline
 
+ASSOCIATORS = MecpAssociator, MecpPaperAssociator, NearestAssociator, OracleAssociator
 # stage -> a function or method that is it, where the environment and the pipeline look it up; none calls another
 STAGES: tuple[tuple[str, Any, str], ...] = (
     ("simulation", Simulation, "step"),
@@ -34,10 +35,7 @@ STAGES: tuple[tuple[str, Any, str], ...] = (
     ("odometry", env, "measure"),
     ("front end", pipeline, "front_end"),
     ("polygons", pipeline, "find_structure"),
-    ("association", MecpAssociator, "associate"),
-    ("association", MecpPaperAssociator, "associate"),
-    ("association", NearestAssociator, "associate"),
-    ("association", OracleAssociator, "associate"),
+    *(("association", kind, "associate") for kind in ASSOCIATORS),
     ("filter predict", LandmarkFilter, "predict"),
     ("filter update", LandmarkFilter, "update"),
     ("map growth", SlamPipeline, "_extend_map"),

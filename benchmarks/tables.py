@@ -25,15 +25,10 @@ RATIOS = {  # figures that are a sum over a sum, where the runs have both
     "doors_found": "doors_found/doors",
     "duplicates_per_corner": "duplicates/mapped",
     "false_closures": "false_closures/events",
-    "found": "found/scans",
     "periods_per_m2": "periods/free_area_m2",
     "phantoms": "phantoms/far",
-    "polygon": "polygon/scans",
-    "possible": "possible/scans",
     "precision": "tp/tp+fp",
     "recall": "tp/tp+fn",
-    "recognised": "recognised/scans",
-    "right": "right/scans",
     "room_precision": "rooms_found/all_rooms_found",
     "room_recall": "rooms_found/rooms",
     "rooms_found": "rooms_found/rooms",
@@ -42,6 +37,7 @@ RATIOS = {  # figures that are a sum over a sum, where the runs have both
     "unique": "unique/found",
     "wrong": "wrong/pairs",
     "wrong_per_1000": "fp/thousands",
+    **{name: f"{name}/scans" for name in ("found", "polygon", "possible", "recognised", "right")},
 }
 SHARES = ("lost", "complete", "seen", "stuck", "early", "reached_90%", "reached_99%")  # of the runs
 SUMS = {"wrong_pairs": "wrong"} | {name: name for name in ("events", "far", "scans")}  # figure -> what is counted

@@ -74,12 +74,7 @@ def corrected(estimate: Filter, sighting: Sighting, odometry: Any = None) -> Non
     estimate.update(*sighting, iterate=not AssociationConfig().is_sharp(estimate.belief()))
 
 
-def corrected_once(estimate: Filter, sighting: Sighting, odometry: Any = None) -> None:
-    """Update with one linearisation."""
-    estimate.update(*sighting)
-
-
-UPDATES = {"iterated": corrected, "once": corrected_once}
+UPDATES = {"iterated": corrected, "once": lambda estimate, sighting, odometry: estimate.update(*sighting)}
 
 
 def path_of(record: Record, estimate: Filter, update: str) -> Array:

@@ -97,12 +97,15 @@ class OneScan(WithModules, ReadsPlans):
         from mecp_env.env import MecpEnv
         from mecp_env.render.figures import save
         from mecp_env.render.stages import DPI, stage_figures
+        from mecp_env.slam.frontend.beams import Beams
         from mecp_env.slam.frontend.clustering import cluster_beams
+        from mecp_env.slam.messages import Clusters
 
         run = Run(MecpEnv(layout=self.reading.resolve(self.layout)), self.seed)
         output, slam = recognition(run, self.step), run.env.config.estimator_config
         united = slam.clustering.united(run.env.config.laser.sweeps)
-        clusters = cluster_beams(output.beams, slam.clustering, slam.segments, slam.sensor, united)
+        rules = slam.clustering.record, slam.segments.record, slam.sensor.record
+        clusters = Clusters(*cluster_beams(Beams.of(output.beams), *rules, united))
         self.out.mkdir(parents=True, exist_ok=True)
         for number, (name, figure) in enumerate(stage_figures(output, clusters).items(), start=1):
             path = self.out / f"{number}-{name}.png"

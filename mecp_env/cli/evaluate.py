@@ -80,9 +80,8 @@ class Evaluate(WithModules, ReadsPlans):
     split: SplitName = "test"  # of the buildings: train, validation or test
     difficulty: DifficultyName = "medium"  # easy, medium, hard or huge
     task: TaskName = ""  # a task of active SLAM in place of a difficulty: ActiveHalls-v0, ActiveCorridors-v0, ...
-    suite: str = (
-        ""  # a frozen benchmark: active-v1, active-quick-v1, coverage-v1; fixes task, split, episodes and limits
-    )
+    # a frozen benchmark: active-v1, active-quick-v1, coverage-v1; fixes task, split, episodes and limits
+    suite: str = ""
     plans: Path | None = None  # a folder of real floor plans, or one; with --task, the robot is that of the task
     layout: str = ""  # one building: a shipped name (paper, office, ...), or the file of a plan
     # buildings, one episode in each; episode i starts by the seed i, with --plans in plan i mod the number of plans
@@ -302,9 +301,8 @@ class Submit(WithModules):
     quick: bool = False  # the suite active-quick-v1: 20 episodes, a few minutes
     trust: bool = False  # load model files (.zip of Stable-Baselines3, .pt), which may run arbitrary code
     name: str = ""  # of the row in tables; by default the name of the policy, of its file or its folder
-    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = (
-        None  # of training; by default those of a run folder
-    )
+    # of training; by default those of a run folder
+    hours: Annotated[float, Field(ge=0.0, allow_inf_nan=False)] | None = None
     seeds: Annotated[int, Field(ge=1, le=1_000_000)] | None = None  # trainings that the policy was chosen from
     jobs: Annotated[int, Field(ge=1, le=256)] = 1  # processes at the same time
     out: Path | None = None  # file of the result; by default runs/NAME-SUITE.json

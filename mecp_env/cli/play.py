@@ -55,9 +55,8 @@ class Play(WithModules, ReadsPlans):
 
     layout: str = "two_rooms"  # a shipped name, DIFFICULTY:SEED, DIFFICULTY:FIRST-LAST, a plan, or a folder of plans
     seed: Seed = 0  # of the noise
-    rate: Annotated[float, Field(ge=0.5, le=30.0)] = (
-        6.0  # control steps of 0.4 s per second, while a key is held; 2.5 is real time
-    )
+    # control steps of 0.4 s per second, while a key is held; 2.5 is real time
+    rate: Annotated[float, Field(ge=0.5, le=30.0)] = 6.0
     out: OutFolder = Path("runs/play")  # folder for pictures (P)
     replay: bool = False  # keep a page that plays each drive, in the folder for pictures
     config: Fields = field(default_factory=Fields)  # any field of the configuration

@@ -53,6 +53,7 @@ FOUND = (
     "rooms {rooms_found:.0f}/{rooms:.0f} doors {doors_found:.0f}/{doors:.0f} seen {coverage:.1%} "
     "error {error_cm:.1f} cm {speed:,.0f} steps/s"
 )
+AT_SCANS = "  that hit two scans"
 ROWS = (  # shown name, format; left out where a metric is missing
     ("rooms found", "{rooms_found:.0f} of {rooms:.0f}, {rooms_false:.0f} false"),
     ("doors found", "{doors_found:.0f} of {doors:.0f}, {doors_false:.0f} false"),
@@ -72,12 +73,9 @@ ROWS = (  # shown name, format; left out where a metric is missing
     ("trajectory error", "RMSE {ate_m:.3f} m, {ate_deg:.2f} deg; dead reckoning {dead_reckoning_ate_m:.3f} m"),
     ("  final", "RMSE {final_ate_m:.3f} m, {final_ate_deg:.2f} deg"),
     ("relations", "mean {relations_m:.3f} m, {relations_deg:.2f} deg ({relations} relations)"),
-    (
-        "  that hit two scans",
-        "mean {relations_at_scans_m:.3f} m, {relations_at_scans_deg:.2f} deg ({relations_at_scans})",
-    ),
+    (AT_SCANS, "mean {relations_at_scans_m:.3f} m, {relations_at_scans_deg:.2f} deg ({relations_at_scans})"),
     ("relations, final", "mean {final_relations_m:.3f} m, {final_relations_deg:.2f} deg"),
-    ("  that hit two scans", "mean {final_relations_at_scans_m:.3f} m, {final_relations_at_scans_deg:.2f} deg"),
+    (AT_SCANS, "mean {final_relations_at_scans_m:.3f} m, {final_relations_at_scans_deg:.2f} deg"),
     ("final trajectory", "{final_steps} steps, {final_s:.1f} s"),
     ("time per scan", "median {ms_per_scan_median:.1f} ms, mean {ms_per_scan_mean:.1f} ms"),
 )
@@ -287,12 +285,15 @@ class LogFiles:
 
 def _keep_final(folder: Path, run: LogRun, name: str, metrics: Mapping[str, Any]) -> None:
     """Write landmarks, grid and picture of the smoothed path."""
-    output, path = run.final_output, run.T_final_robot[run.scored, :2]
-    output.export(landmarks=folder / "landmarks_final.csv", grid=folder / "belief_final.yaml")
+    run.final_output.export(landmarks=folder / "landmarks_final.csv", grid=folder / "belief_final.yaml")
     errors = {key.removeprefix(FINAL): value for key, value in metrics.items() if key.startswith(FINAL)}
+    _keep_map(folder / "map_final.png", final_view(run, _caption(f"{name}, final trajectory", {**metrics, **errors})))
+
+
+def final_view(run: LogRun, title: str) -> SceneView:
+    """The map and both paths after the smoothing."""
     reference = _reference(replace(run, T_map_robot=run.T_final_robot))
-    view = _view(output, path, reference[:, :2], _caption(f"{name}, final trajectory", {**metrics, **errors}))
-    _keep_map(folder / "map_final.png", view)
+    return _view(run.final_output, run.T_final_robot[run.scored, :2], reference[:, :2], title)
 
 
 def _reference(run: LogRun) -> Array:

@@ -75,7 +75,7 @@ def sound(word: str, reading: Reading) -> bool:
     try:
         singles = reading.expand(word)
         if word and is_folder(word):
-            _tell_left_out(Path(word), reading)
+            echo(*(f"other  {path}: {reason}" for path, reason in left_out(Path(word), reading.kind).items()))
         if singles != [word]:
             return not [single for single in singles if not sound(single, reading)]
         echo(f"ok     {word}: {counted(reading.load(word))}")
@@ -83,12 +83,6 @@ def sound(word: str, reading: Reading) -> bool:
         echo(f"wrong  {error}")
         return False
     return True
-
-
-def _tell_left_out(folder: Path, reading: Reading) -> None:
-    """Print which JSON and yaml files of a folder are no plans, and why."""
-    for path, reason in left_out(folder, reading.kind).items():
-        echo(f"other  {path}: {reason}")
 
 
 @dataclass(frozen=True)
@@ -120,10 +114,9 @@ class Convert(ReadsPlans):
                 write(layout, Path(folder) / self.target.name, self.map_resolution_m)
             for path in Path(folder).iterdir():
                 write_atomic(self.target.with_name(path.name), path.read_bytes())
-        echo(
-            f"{self.target}: {layout.name}, {counted(layout)}",
-            *([layout.description] if Path(source).is_file() else []),
-        )
+        echo(f"{self.target}: {layout.name}, {counted(layout)}")
+        if Path(source).is_file():
+            echo(layout.description)
         return 0
 
 

@@ -243,8 +243,7 @@ def door_centres(doors: tuple[Door, ...], belief: Belief) -> Array:
     rows = np.where(jambs == NO_ID, -1, rows_by_id(belief.ids, jambs)[jambs])
     places = np.concatenate((belief.p_map, np.zeros((1, 2))))[rows]  # the last one, of none, adds nothing
     count = (rows >= 0).sum(axis=1, keepdims=True)
-    centres: Array = (places[:, 0] + places[:, 1] + places[:, 2] + places[:, 3]) / np.where(count > 0, count, np.nan)
-    return centres
+    return (places[:, 0] + places[:, 1] + places[:, 2] + places[:, 3]) / np.where(count > 0, count, np.nan)
 
 
 def door_error(truth: GroundTruth, output: SlamOutput, T_world_map: Array) -> float:
@@ -288,8 +287,7 @@ def room_centres(grid: SemanticGrid, rooms: Ints) -> Array:
     """(n,2) m, map frame: the cell of each room (n,) farthest from every other room; nan without a cell."""
     if not len(rooms) or not grid.room.size:
         return np.full((len(rooms), 2), np.nan)
-    centres: Array = grid.origin + (metric_arrays.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m
-    return centres
+    return grid.origin + (metric_arrays.room_middles(grid.room, rooms) + 0.5) * grid.resolution_m
 
 
 def grid_iou(truth: GroundTruth, grid: SemanticGrid, T_world_map: Array) -> float:

@@ -209,7 +209,8 @@ class LogRun:
         found = dict[str, float]()
         if not self.localised.any():
             return found
-        t, (slam, dead) = self.t[self.scored], (self._framed(poses) for poses in (T_map_robot, self.T_odom_robot))
+        t, paths = self.t[self.scored], (T_map_robot, self.T_odom_robot)
+        slam, dead = (composed(poses[self.scored], self.T_robot_frame) for poses in paths)
         if self.T_ref_robot is not None:
             reference = self.T_ref_robot[self.scored]
             ate = trajectory_error(slam, reference)
@@ -222,11 +223,6 @@ class LogRun:
                 found |= {name: error.relations, f"{name}_m": error.mean_m, f"{name}_sd_m": error.sd_m}
                 found |= {f"{name}_deg": math.degrees(error.mean_rad), f"{name}_sd_deg": math.degrees(error.sd_rad)}
         return found
-
-    def _framed(self, T_map_robot: Array) -> Array:
-        """(m,3) of poses (n,3) those that are scored, of the frame that is scored."""
-        poses = T_map_robot[self.scored]
-        return composed(poses, np.broadcast_to(self.T_robot_frame, poses.shape))
 
 
 def sensor_of(log: Log, given: Mapping[str, Any] | None = None) -> dict[str, Any]:
@@ -246,10 +242,8 @@ def config_for(log: Log, fields: Mapping[str, Any] | None = None, calibration: C
 
     `fields` of `SlamConfig` override both.
     """
-    fields, found = (
-        dict(fields or {}),
-        {} if calibration is None else calibration.sensor.model_dump(include=set(OF_SENSOR)),
-    )
+    fields = dict(fields or {})
+    found = {} if calibration is None else calibration.sensor.model_dump(include=set(OF_SENSOR))
     return SlamConfig.parse(fields | {"sensor": sensor_of(log, found | dict(fields.get("sensor", {})))})
 
 
@@ -272,8 +266,7 @@ class LogDrive:
     def __post_init__(self) -> None:
         """Make odometry of the scans where there is none. Raises `LogError` where the log lacks what is asked for."""
         if self.config.odometry == "none" or (self.config.odometry == "log" and self.log.T_odom_robot is None):
-            made = replace(registered(self.log), notes=(*self.log.notes, REGISTERED))
-            self.log = made
+            self.log = replace(registered(self.log), notes=(*self.log.notes, REGISTERED))
         self._path()
         self.trace = Trace(self.pipeline)
 

@@ -187,8 +187,7 @@ class EpisodeMetrics:
 
     def in_map(self, T_world_robot: Array) -> Array:
         """A pose (3,) of the world in the map frame."""
-        T_map_robot: Array = compose(inverse(self.T_world_map), T_world_robot)
-        return T_map_robot
+        return compose(inverse(self.T_world_map), T_world_robot)
 
     def _sweep(self, truth: GroundTruth, T_world_robot: Array) -> None:
         self.new_cells = 0

@@ -25,9 +25,7 @@ from mecp_env.core.se2 import between, composed, wrapped
 from mecp_env.core.sensors import Scan
 from mecp_env.logs.odometry_model import measured
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls, cluster_beams
-from mecp_env.slam.frontend.scan import merge_sweeps, restore_lost_beams
-from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import MergedScan, Segments
 from mecp_env.slam.panorama.registration import RegistrationLimits, Surfaces, register_all, surfaces_of
 
@@ -67,12 +65,8 @@ class View:
 
 def view(scan: Scan, config: SlamConfig) -> View:
     """The surfaces of a scan, by the stages of the estimator."""
-    sensor = config.sensor
-    beams = restore_lost_beams(merge_sweeps(scan, sensor), sensor)
-    clusters = cluster_beams(beams, config.clustering, config.segments, sensor)
-    segments = extract_segments(beams, clusters, config.segments, sensor)
-    wall = beams_on_walls(clusters, beams)
-    return View(surfaces_of(beams, segments, wall, sensor), beams, segments)
+    seen = front_end(scan, config)
+    return View(surfaces_of(seen.beams, seen.segments, seen.wall, config.sensor), seen.beams, seen.segments)
 
 
 def range_noise(scan_at: Callable[[int], Scan], scans: int, config: SlamConfig) -> float:
@@ -166,8 +160,7 @@ def _moving_rows(T_odom_robot: Array) -> tuple[Ints, int]:
 
 def _size(motions: Array) -> Array:
     """(n,) of motions (n,3), 1 for one that is worth registering."""
-    size: Array = np.hypot(motions[:, 0], motions[:, 1]) / LEAST_M + abs(motions[:, 2]) / LEAST_RAD
-    return size
+    return np.hypot(motions[:, 0], motions[:, 1]) / LEAST_M + abs(motions[:, 2]) / LEAST_RAD
 
 
 def _blocks(rows: Ints) -> list[Ints]:
@@ -181,8 +174,7 @@ def _prior(step: Array) -> Array:
     """(3,3) covariance of a motion (3,) by odometry of which nothing is known."""
     metres, turn = math.hypot(*step[:2]), abs(float(step[2]))
     spread_m, spread_rad = PRIOR_M + GROWTH * metres, PRIOR_RAD + GROWTH * (math.sqrt(metres) + turn)
-    prior: Array = np.diag([spread_m, spread_m, spread_rad]) ** 2
-    return prior
+    return np.diag([spread_m, spread_m, spread_rad]) ** 2
 
 
 class Residuals(NamedTuple):
@@ -211,9 +203,10 @@ def residuals(motions: Motions, values: Array, T_robot_laser: Array, course: Arr
     back, read = between(X, np.zeros(3)), measured(robot, values[:3])
     off = motions.measured - read
     off[:, 2] = wrapped(off[:, 2])
-    lever = composed(motions.laser, np.broadcast_to(back, off.shape)) - motions.laser
+    lever = composed(motions.laser, back) - motions.laser  # in the past frame
+    x, y, _ = composed(np.array([0.0, 0.0, X[2]]), lever).T
     to_robot = _turned(np.full(len(off), X[2]))
-    to_robot[:, 0, 2], to_robot[:, 1, 2] = _turn_moves(lever, X[2])
+    to_robot[:, 0, 2], to_robot[:, 1, 2] = -y, x  # m per rad: a laser that turns moves the robot
     rows = np.swapaxes(_turned(courses(read) if course is None else course), 1, 2)
     A = rows @ to_robot
     cov = A @ motions.cov @ np.swapaxes(A, 1, 2)
@@ -249,13 +242,6 @@ def _turned(angles: Array) -> Array:
     turned[:, 0, 1] = -turned[:, 1, 0]
     turned[:, 2, 2] = 1.0
     return turned
-
-
-def _turn_moves(lever: Array, heading: float) -> tuple[Array, Array]:
-    """(n,), (n,) m per rad: by how much the robot moves for a laser that turns, at a lever (n,3) in the past frame."""
-    c, s = np.cos(heading), np.sin(heading)
-    x, y = c * lever[:, 0] - s * lever[:, 1], s * lever[:, 0] + c * lever[:, 1]
-    return -y, x
 
 
 class Systematic(NamedTuple):

@@ -20,7 +20,6 @@ class TrajectoryError(NamedTuple):
     rmse_m: float  # of the positions
     worst_m: float
     rmse_rad: float  # of the headings
-    poses: int  # that were compared
 
 
 class RelationError(NamedTuple):
@@ -46,13 +45,13 @@ def trajectory_error(T_map_robot: Array, T_ref_robot: Array) -> TrajectoryError:
     """The ATE of poses (n,3) against those of a reference (n,3) at the same stamps; rows with nan are left out."""
     known = np.isfinite(T_map_robot).all(axis=1) & np.isfinite(T_ref_robot).all(axis=1)
     if not known.any():
-        return TrajectoryError(math.nan, math.nan, math.nan, 0)
+        return TrajectoryError(math.nan, math.nan, math.nan)
     T_map_robot, T_ref_robot = T_map_robot[known], T_ref_robot[known]
     T_ref_map = align(T_ref_robot[:, :2], T_map_robot[:, :2])
     aligned = composed(T_ref_map, T_map_robot)
     off_m = np.hypot(*(aligned - T_ref_robot)[:, :2].T)
     off_rad = wrapped(aligned[:, 2] - T_ref_robot[:, 2])
-    return TrajectoryError(_rms(off_m), float(off_m.max()), _rms(off_rad), len(off_m))
+    return TrajectoryError(_rms(off_m), float(off_m.max()), _rms(off_rad))
 
 
 def relation_error(t: Array, T_map_robot: Array, relations: Array) -> RelationError:

@@ -112,8 +112,7 @@ def _door_of_a_nook(rooms: Rooms, options: PlanOptions) -> list[int]:
 def _touching(rooms: Rooms, index: int) -> list[int]:
     """The doors on either side of a sliver of floor."""
     lines = shapely.linestrings(np.array([door.closing for door in rooms.doors]).reshape(-1, 2, 2))
-    touching: list[int] = np.flatnonzero(shapely.distance(lines, rooms.floors[index]) < 2.0 * CLOSED_M).tolist()
-    return touching
+    return np.flatnonzero(shapely.distance(lines, rooms.floors[index]) < 2.0 * CLOSED_M).tolist()
 
 
 def _is_room(floor: Polygon, options: PlanOptions) -> bool:

@@ -21,8 +21,9 @@ from shapely.geometry import LineString, Point, Polygon
 
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.errors import LayoutError
-from mecp_env.floorplans.floor import largest_part, without_furniture
+from mecp_env.floorplans.floor import edges_of, largest_part, without_furniture
 from mecp_env.floorplans.options import Crossing, PlanOptions
+from mecp_env.floorplans.straighten import quarter
 
 STEP_M, FINE_STEP_M = 0.02, 0.004  # between the lines along which the width is measured
 AROUND_M = 0.4  # how far behind either face it must get wide
@@ -73,6 +74,11 @@ class Gap:
         against, ahead = self.to_walls_m
         return np.stack([self.centre - (against + 0.03) * self.along, self.centre + (ahead + 0.03) * self.along])
 
+    def piece(self, low: float, high: float, half: float) -> Polygon:
+        """The rectangle from `low` to `high`, m along it, and `half` as far in both directions through it."""
+        corners = ((low, -half), (high, -half), (high, half), (low, half))
+        return Polygon([self.centre + u * self.along + v * self.through for u, v in corners])
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Walls:
@@ -86,22 +92,15 @@ class Walls:
     @classmethod
     def around(cls, area: Polygon) -> Walls:
         shapely.prepare(area)
-        rings = [np.array(ring.coords) for ring in (area.exterior, *area.interiors)]
-        faces = np.concatenate([np.stack([ring[:-1], ring[1:]], axis=1) for ring in rings])  # the floor on their left
+        faces, _ = edges_of(np.array([area], dtype=np.object_))  # the floor on their left
         return cls(area, faces, shapely.STRtree(shapely.linestrings(faces)), np.empty((0, 2, 2)))
 
     def near(self, points: Array, along: Array) -> Array:
-        """Faces and closed doors (n,2,2) within sight of `points` (k,2) against `along` or with it."""
+        """Faces (n,2,2) within sight of `points` (k,2) against `along` or with it, and all closed doors."""
         margin = SIGHT_M * np.abs(along) + BESIDE_M
         low, high = points.min(axis=0) - margin, points.max(axis=0) + margin
         faces = self.faces[self.tree.query(shapely.box(*low, *high))]
-        return np.concatenate([faces, self.closed_near((low + high) / 2.0, math.dist(low, high))])
-
-    def closed_near(self, point: Array, reach_m: float) -> Array:
-        """Closed doors (n,2,2) that may lie within reach of a point (2,)."""
-        far = np.abs(self.closed[:, 0] - point).max(axis=1, initial=0.0)
-        near: Array = self.closed[far < reach_m + SIGHT_M]
-        return near
+        return np.concatenate([faces, self.closed])
 
 
 def find_doors(area: Polygon, axes: tuple[float, ...], options: PlanOptions) -> list[Gap]:
@@ -147,9 +146,8 @@ def is_between_walls(gap: Gap, area: Polygon) -> bool:
 
 def _crosses(gap: Gap, walls: Walls) -> bool:
     """Whether the doorway touches one that is closed already, or is the same drawn once more."""
-    closed = walls.closed_near(gap.centre, gap.width_m)
-    touching = shapely.distance(shapely.linestrings(closed), LineString(gap.closing)) < 0.02
-    same = np.linalg.norm(closed.mean(axis=1) - gap.centre, axis=1) < SAME_DOOR_M
+    touching = shapely.distance(shapely.linestrings(walls.closed), LineString(gap.closing)) < 0.02
+    same = np.linalg.norm(walls.closed.mean(axis=1) - gap.centre, axis=1) < SAME_DOOR_M
     return bool(np.any(touching | same))
 
 
@@ -219,8 +217,7 @@ def _is_square(along: Array, first: Array, second: Array, axes: tuple[float, ...
     faces = np.stack([first, second], axis=1)
     step = faces[:, :, 1] - faces[:, :, 0]
     sine = np.einsum("nc,nfc->nf", along, step / np.linalg.norm(step, axis=2)[..., None])
-    heading = np.arctan2(along[:, 1], along[:, 0])[:, None] - np.array(axes)
-    off = np.mod(heading + math.pi / 4.0, math.pi / 2.0) - math.pi / 4.0
+    off = quarter(np.arctan2(along[:, 1], along[:, 0])[:, None] - np.array(axes))
     square: Bools = (np.abs(sine) < math.sin(STRAIGHT)).any(axis=1) | (np.abs(off) < STRAIGHT).any(axis=1)
     return square
 
@@ -256,7 +253,7 @@ def measure(
 def _straight(along: Array, axes: tuple[float, ...]) -> Array:
     """`along`, turned to a direction of the building when it is near one."""
     angle = math.atan2(along[1], along[0])
-    off = min(((axis - angle + math.pi / 4.0) % (math.pi / 2.0) - math.pi / 4.0 for axis in axes), key=abs, default=1.0)
+    off = min((float(quarter(axis - angle)) for axis in axes), key=abs, default=1.0)
     angle += off if abs(off) < STRAIGHT else 0.0
     return np.array([math.cos(angle), math.sin(angle)])
 
@@ -358,12 +355,11 @@ def _is_apart(gap: Gap, known: Array) -> bool:
 def _posts(gap: Gap, walls: Walls) -> list[Polygon]:
     """The posts on both sides of a frame, from the `walls` inwards."""
     against, ahead = (float(side[0]) for side in extent(gap.centre[None], gap.along, walls))
-    half = 0.5 * max(gap.depth_m, FRAME_POST_M)
-    ends = []
+    posts, half = [], 0.5 * max(gap.depth_m, FRAME_POST_M)
     for wall, sign in ((against, -1.0), (ahead, 1.0)):
         inner, outer = sign * min(0.5 * gap.width_m, wall - STANDING_OUT_M[0]), sign * (wall + INTO_WALL_M)
-        ends.append(((inner, -half), (outer, -half), (outer, half), (inner, half)))
-    return [Polygon([gap.centre + u * gap.along + v * gap.through for u, v in end]) for end in ends]
+        posts.append(gap.piece(inner, outer, half))
+    return posts
 
 
 def with_wider_doors(floor: Polygon, drawn: Polygon, axes: tuple[float, ...], options: PlanOptions) -> Polygon:
@@ -391,6 +387,4 @@ def _wider(gap: Gap, walls: Walls) -> Polygon:
     more = DRIVEN_M - gap.width_m + 0.01
     shares = (0.5, 0.5) if min(against, ahead) >= more else (float(against > ahead), float(ahead >= against))
     low, high = -0.5 * gap.width_m - shares[0] * more, 0.5 * gap.width_m + shares[1] * more
-    half = 0.5 * gap.depth_m + 0.02
-    corners = ((low, -half), (high, -half), (high, half), (low, half))
-    return Polygon([gap.centre + u * gap.along + v * gap.through for u, v in corners])
+    return gap.piece(low, high, 0.5 * gap.depth_m + 0.02)

@@ -113,15 +113,15 @@ def _deep_parts(rest: BaseGeometry, wide: BaseGeometry, depth: float) -> BaseGeo
 
 def _mouths(parts: NDArray[np.object_], wide: BaseGeometry) -> NDArray[np.object_]:
     """Where each of `parts` ends at `wide`: lines, empty for a part that does not touch it."""
-    edges, part = _edges(parts)
-    tree = shapely.STRtree(shapely.linestrings(_edges(shapely.get_parts(wide))[0]))
+    edges, part = edges_of(parts)
+    tree = shapely.STRtree(shapely.linestrings(edges_of(shapely.get_parts(wide))[0]))
     touching = np.unique(tree.query(shapely.points(edges.mean(axis=1)), "dwithin", ON_EDGE_M)[0])
     mouths = np.full(len(parts), shapely.MultiLineString(), dtype=np.object_)
     shapely.multilinestrings(shapely.linestrings(edges[touching]), indices=part[touching], out=mouths)
     return mouths
 
 
-def _edges(parts: NDArray[np.object_]) -> tuple[Array, Ints]:
+def edges_of(parts: NDArray[np.object_]) -> tuple[Array, Ints]:
     """The edges (n,2,2) of polygons, and the index (n,) of the polygon that each belongs to."""
     rings, part = shapely.get_rings(parts, return_index=True)
     points, ring = shapely.get_coordinates(rings, return_index=True)

@@ -89,17 +89,7 @@ FORMATS = ("PNG", "PPM", "BMP", "TIFF")
 LEAST_ALPHA = 128  # a pixel that is less than half opaque shows nothing
 DARK = 128  # of 255: what is drawn in a level below is wall
 DIGITS = (b"P1", b"P2", b"P3")  # how an image written in digits begins
-DAMAGE = (
-    OSError,
-    ValueError,
-    SyntaxError,
-    struct.error,
-    OverflowError,
-    LookupError,
-    TypeError,
-    EOFError,
-    zlib.error,
-)
+DAMAGE = (OSError, ValueError, SyntaxError, struct.error, OverflowError, LookupError, TypeError, EOFError, zlib.error)
 SMALLER = "scale it down, and give the metres per pixel of the smaller one"
 
 

@@ -35,6 +35,7 @@ DRAWN_AXIS = math.radians(3.0)  # an edge of a drawing that is nearer goes along
 BINS, SPREAD = 360, 6  # of a quarter of a degree; a peak is so many bins wide on either side
 LEVEL = math.radians(0.25)  # a building turned by less is along x and y
 NEAR_AXIS = math.radians(40.0)  # no edge is turned by more
+PARALLEL = 0.999  # the cosine of two edges along one direction is above
 BLUNT = math.radians(20.0)  # lines that meet at less have their corner where it was drawn
 
 
@@ -48,6 +49,10 @@ class Line:
     middle: Array  # (2,) m, of what was drawn
     end: Array  # (2,) m, the corner drawn between this edge and the next
     on_axis: bool
+
+    def cosine(self, other: Line) -> float:
+        """That of the angle to another edge, 0 where one of both is not along a direction of the building."""
+        return math.cos(self.angle - other.angle) if self.on_axis and other.on_axis else 0.0
 
 
 class Try(NamedTuple):
@@ -106,29 +111,32 @@ def directions(area: Polygon) -> tuple[float, ...]:
 
 def along_directions(area: Polygon) -> float:
     """The share of the length of all edges of `area` that goes along one of its directions."""
-    axes = directions(area)
-    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
-    length, angle = np.hypot(*edges.T), np.arctan2(edges[:, 1], edges[:, 0])
-    near = [np.abs(_quarter(angle - axis)) < DRAWN_AXIS for axis in axes]
+    length, angle = _edges(area)
+    near = [np.abs(quarter(angle - axis)) < DRAWN_AXIS for axis in directions(area)]
     return float(length[np.logical_or.reduce(near)].sum() / length.sum()) if near else 0.0
 
 
 def _voted(area: Polygon) -> tuple[float, tuple[float, ...]]:
     """The share of all edges that have the main direction, and the directions."""
-    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
-    length, angle = np.hypot(*edges.T), _quarter(np.arctan2(edges[:, 1], edges[:, 0]))
+    length, angle = _edges(area)
     weight = length**2 / (length + 0.5)  # a short edge says little about a direction
     found: list[tuple[float, float]] = []
     for _ in range(AXES):
-        near = np.abs(_quarter(angle - _peak(angle, weight))) < ONE_AXIS
+        near = np.abs(quarter(angle - _peak(angle, weight))) < ONE_AXIS
         share = float(weight[near].sum() / length.sum())
         if share < AXIS_SHARE:
             break
         first = angle[near][int(np.argmax(weight[near]))]
-        axis = float(_quarter(first + np.average(_quarter(angle[near] - first), weights=weight[near])))
+        axis = float(quarter(first + np.average(quarter(angle[near] - first), weights=weight[near])))
         found.append((share, 0.0 if abs(axis) < LEVEL else axis))
-        weight = np.where(np.abs(_quarter(angle - axis)) < OTHER_AXIS, 0.0, weight)
+        weight = np.where(np.abs(quarter(angle - axis)) < OTHER_AXIS, 0.0, weight)
     return found[0][0] if found else 0.0, tuple(axis for _, axis in found)
+
+
+def _edges(area: Polygon) -> tuple[Array, Array]:
+    """The lengths (n,) of all edges, and their directions (n,), rad modulo a right angle."""
+    edges = np.concatenate([np.diff(ring, axis=0) for ring in _rings(area)])
+    return np.hypot(*edges.T), quarter(np.arctan2(edges[:, 1], edges[:, 0]))
 
 
 def _peak(angle: Array, weight: Array) -> float:
@@ -139,7 +147,7 @@ def _peak(angle: Array, weight: Array) -> float:
     return float((int(np.argmax(spread)) + 0.5) * (math.pi / 2.0) / BINS - math.pi / 4.0)
 
 
-def _quarter(angle: Any) -> Any:
+def quarter(angle: Any) -> Any:
     """`angle` modulo a right angle, in [-pi/4, pi/4)."""
     return np.mod(angle + math.pi / 4.0, math.pi / 2.0) - math.pi / 4.0
 
@@ -199,7 +207,7 @@ def _span(chain: Array) -> float:
 def _line(chain: Array, noise_m: float, axes: tuple[float, ...]) -> Line:
     step = chain[-1] - chain[0]
     length, angle = math.hypot(*step), math.atan2(step[1], step[0])
-    off = min((float(_quarter(axis - angle)) for axis in axes), key=abs, default=math.inf)
+    off = min((float(quarter(axis - angle)) for axis in axes), key=abs, default=math.inf)
     on_axis = abs(off) < NEAR_AXIS and length * abs(math.sin(off)) <= 2.0 * noise_m
     angle = angle + off if on_axis else angle
     pieces = np.hypot(*(chain[1:] - chain[:-1]).T)
@@ -217,8 +225,8 @@ def _squared(lines: list[Line], noise_m: float) -> list[Line]:
     kept = []
     for before, line, after in zip([lines[-1], *lines[:-1]], lines, [*lines[1:], lines[0]], strict=True):
         bevel = before.on_axis and after.on_axis and _is_oblique(line, before, noise_m)
-        turn = math.cos(before.angle - after.angle)
-        if bevel and turn < -0.999:
+        turn = before.cosine(after)
+        if bevel and turn < -PARALLEL:
             kept.append(_end_of_wall(before, line))
         elif not bevel or abs(turn) > 0.1:
             kept.append(line)
@@ -251,13 +259,9 @@ def _lines_of_end(face: Line, after: list[Line], noise_m: float) -> int:
         if np.abs(along).max() > reach or np.ptp(along) > reach:
             return 0
         between = np.abs(across - across[-1] / 2.0).max() <= abs(across[-1]) / 2.0 + noise_m
-        if between and _are_faces(face, after[count]) and min(face.length, after[count].length) > reach:
+        if between and face.cosine(after[count]) < -PARALLEL and min(face.length, after[count].length) > reach:
             return count
     return 0
-
-
-def _are_faces(a: Line, b: Line) -> bool:
-    return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) < -0.999
 
 
 def _is_oblique(line: Line, face: Line, noise_m: float) -> bool:
@@ -271,12 +275,8 @@ def _end_of_wall(face: Line, line: Line) -> Line:
     return replace(line, angle=square, offset=_offset(square, line.middle), on_axis=True)
 
 
-def _same_direction(a: Line, b: Line) -> bool:
-    return a.on_axis and b.on_axis and math.cos(a.angle - b.angle) > 0.999
-
-
 def _is_one(a: Line, b: Line, noise_m: float) -> bool:
-    return _same_direction(a, b) and abs(a.offset - b.offset) <= noise_m
+    return a.cosine(b) > PARALLEL and abs(a.offset - b.offset) <= noise_m
 
 
 def _merged(lines: list[Line], noise_m: float) -> list[Line]:
@@ -299,7 +299,7 @@ def _union(a: Line, b: Line) -> Line:
 
 def _with_step(a: Line, b: Line) -> list[Line]:
     """`a`, and a line square to it where `b` is parallel to it."""
-    if not (a.on_axis and b.on_axis and abs(math.cos(a.angle - b.angle)) > 0.999):
+    if abs(a.cosine(b)) <= PARALLEL:
         return [a]
     across = a.angle + math.copysign(math.pi / 2.0, (b.end - a.end) @ (-math.sin(a.angle), math.cos(a.angle)) or 1.0)
     return [a, Line(across, _offset(across, a.end), 0.0, a.end, a.end, True)]
@@ -322,7 +322,7 @@ def _groups(lines: list[Line], in_line_m: float) -> list[list[int]]:
     groups: list[list[int]] = []
     for i in sorted(on_axis, key=lambda i: (round(lines[i].angle % (2.0 * math.pi), 3), lines[i].offset)):
         first = lines[groups[-1][0]] if groups else None
-        if first and _same_direction(first, lines[i]) and lines[i].offset - first.offset <= in_line_m:
+        if first and first.cosine(lines[i]) > PARALLEL and lines[i].offset - first.offset <= in_line_m:
             groups[-1].append(i)
         else:
             groups.append([i])

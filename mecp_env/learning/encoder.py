@@ -34,11 +34,7 @@ from mecp_env.policies.registry import VALID
 LAYERS = 8  # of the grid
 SCALES = 3
 NEVER = -1e9  # a logit of what may not be chosen
-CLASSES: dict[str, type[OnPolicyAlgorithm]] = {
-    "ppo": PPO,
-    "maskable_ppo": MaskablePPO,
-    "recurrent_ppo": RecurrentPPO,
-}
+CLASSES: dict[str, type[OnPolicyAlgorithm]] = {"ppo": PPO, "maskable_ppo": MaskablePPO, "recurrent_ppo": RecurrentPPO}
 FIRST_LOG_STD = -0.7  # of velocities: half of the largest
 
 

@@ -36,15 +36,8 @@ MEAN_OPTION_DISCOUNT = 0.93  # about the mean discount of an option: only for th
 REWARDS = tuple(f"reward_{term}" for term in TERMS)
 CUSTOM = "reward_custom"  # of all terms that the user has registered
 FIGURES = (
-    "auc",
-    "correct_over_steps",
-    *KEPT,
-    "episode_periods",
-    "episode_decisions",
-    "reward",
-    *REWARDS,
-    CUSTOM,
-    "terminated",
+    *("auc", "correct_over_steps", *KEPT, "episode_periods", "episode_decisions", "reward"),
+    *(*REWARDS, CUSTOM, "terminated"),
 )
 
 

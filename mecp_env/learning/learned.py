@@ -27,14 +27,7 @@ from mecp_env.core.files import read_bytes, write_atomic
 from mecp_env.core.settings import guess
 from mecp_env.learning.config import ALGORITHMS, CONFIG, TrainConfig, WeightError, read_config
 from mecp_env.learning.encoder import make_network
-from mecp_env.learning.exported import (
-    NotFiniteError,
-    StockModel,
-    check_finite,
-    load_script,
-    load_zip,
-    weights_of,
-)
+from mecp_env.learning.exported import NotFiniteError, StockModel, check_finite, load_script, load_zip, weights_of
 from mecp_env.learning.fits import OTHERS, Fit, ModelPolicy, batched, downsample
 from mecp_env.policies import active
 from mecp_env.policies.registry import WEIGHTS, shipped

@@ -1,6 +1,6 @@
 """The packed parts of a bag: how much each unpacks to, before any is unpacked at once.
 
-A part (a chunk of records, a message, a whole file) begins with the mark of its packing, and tells where it ends.
+A part (a chunk of records, a message, a whole file) begins with the mark of its packing.
 """
 
 from __future__ import annotations
@@ -8,12 +8,14 @@ from __future__ import annotations
 import bz2
 import importlib
 import io
+import mmap
 import re
 import sqlite3
 import struct
 import tempfile
 from collections.abc import Iterator
 from contextlib import closing
+from functools import partial
 from pathlib import Path
 from typing import IO, Any
 
@@ -24,29 +26,33 @@ BZ2, LZ4, ZSTD = b"BZh", b"\x04\x22\x4d\x18", b"\x28\xb5\x2f\xfd"
 MARKS = re.compile(b"|".join(map(re.escape, (BZ2, LZ4, ZSTD))))
 MESSAGE, CHUNK = 5, 6  # records of MCAP that may have a packed part,
 BEFORE, NEAR = {MESSAGE: 22, CHUNK: 28}, 64  # whose mark is behind so many bytes, and within so many
+RECORD = 9  # bytes of a record before its content
 CHUNK_HEAD = 40  # bytes of a chunk before its records, but for the name of its packing
 PIECE = 2**16  # bytes that are unpacked at once
 MOST_MESSAGE = 2**24  # bytes of a message; one that unpacks to more is cut, and so damaged
+Records = bytes | mmap.mmap
 
 
-def unpacker_of(data: bytes) -> Any:
-    """What unpacks a part piece by piece. Raises `ImportError` without the library that reads such bags."""
-    if data.startswith(BZ2):
-        return bz2.BZ2Decompressor()
-    if data.startswith(LZ4):
-        return importlib.import_module("lz4.frame").LZ4FrameDecompressor()
+def opened(packed: IO[bytes], mark: bytes) -> IO[bytes]:
+    """A packed file, to be read unpacked. Raises `ImportError` without the library that reads such bags."""
+    file: IO[bytes] = _module(mark).open(packed)
+    return file
+
+
+def _module(mark: bytes) -> Any:
+    if mark == BZ2:
+        return bz2
+    if mark == LZ4:
+        return importlib.import_module("lz4.frame")
     try:
-        zstd = importlib.import_module("compression.zstd")
+        return importlib.import_module("compression.zstd")
     except ImportError:
-        zstd = importlib.import_module("backports.zstd")
-    return zstd.ZstdDecompressor()
+        return importlib.import_module("backports.zstd")
 
 
 def unpacked_message(data: bytes) -> bytes:
     """The data of a message, which are packed where a part is read without the description of its bag."""
-    packed = bytes(data[:4]) == ZSTD
-    unpacked: bytes = unpacker_of(ZSTD).decompress(data, max_length=MOST_MESSAGE) if packed else data
-    return unpacked
+    return opened(io.BytesIO(data), ZSTD).read(MOST_MESSAGE) if bytes(data[:4]) == ZSTD else data
 
 
 def check_parts(path: Path, most: int) -> None:
@@ -63,80 +69,73 @@ def check_parts(path: Path, most: int) -> None:
 def _check_file(path: Path, most: int) -> None:
     if path.suffix == ".zstd":
         with tempfile.NamedTemporaryFile(suffix=path.with_suffix("").suffix) as whole, path.open("rb") as packed:
-            whole.writelines(_unpacked(packed, most))
+            whole.writelines(_pieces(packed, ZSTD, most))
             whole.flush()
             _check_file(Path(whole.name), most)
     elif path.suffix == ".db3":
         place = f"{path.absolute().as_uri()}?mode=ro&immutable=1"
         with closing(sqlite3.connect(place, uri=True)) as database:
             for (data,) in database.execute("SELECT data FROM messages"):
-                _check_part(io.BytesIO(data), most)
+                _unpacked(data, most)
     elif path.suffix in (".bag", ".mcap"):
-        with path.open("rb") as file:
-            _check_records(file, most)
+        with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as records:
+            _check_records(records, most)
 
 
-def _check_records(file: IO[bytes], most: int) -> None:
+def _check_records(records: Records, most: int) -> None:
     """Check the parts of a `.bag` of ROS 1, and of an MCAP file, which has packed messages also in its chunks."""
-    start = file.read(len(ROS1))
-    if start == ROS1:
-        for _ in _chunks_of_ros1(file):
-            _check_part(file, most)
-    elif start.startswith(MCAP):
-        for _ in _parts_of_mcap(file, len(MCAP)):
-            records = _check_part(file, most)
-            for _ in _parts_of_mcap(records, 0):
-                _check_part(records, most)
+    if records[: len(ROS1)] == ROS1:
+        for part in _parts_of_ros1(records):
+            _unpacked(part, most)
+    elif records[: len(MCAP)] == MCAP:
+        for chunk in _parts_of_mcap(records, len(MCAP)):
+            for part in _parts_of_mcap(_unpacked(chunk, most), 0):
+                _unpacked(part, most)
 
 
-def _chunks_of_ros1(file: IO[bytes]) -> Iterator[None]:
-    """Stop the file at the data of each record: a chunk, perhaps packed, or others."""
-    while len(length := file.read(4)) == 4:
-        file.seek(int.from_bytes(length, "little"), io.SEEK_CUR)  # the head
-        size = int.from_bytes(file.read(4), "little")
-        start = file.tell()
-        yield
-        file.seek(start + size)
+def _parts_of_ros1(records: Records) -> Iterator[bytes]:
+    """The data of each record that is packed, as a chunk may be."""
+    at = len(ROS1)
+    while at < len(records):
+        at += 4 + int.from_bytes(records[at : at + 4], "little")  # the head
+        end = at + 4 + int.from_bytes(records[at : at + 4], "little")
+        if MARKS.match(records, at + 4):
+            yield records[at + 4 : end]
+        at = end
 
 
-def _parts_of_mcap(file: IO[bytes], start: int) -> Iterator[None]:
-    """Stop the file at each packed part among the records from `start` on, and in chunks that are not packed."""
-    while file.seek(start) == start and len(head := file.read(9)) == 9:
-        kind, length = struct.unpack("<BQ", head)
-        near = file.read(NEAR) if kind in BEFORE else b""
-        mark = MARKS.search(near[:length], BEFORE.get(kind, 0))
-        start += 9
+def _parts_of_mcap(records: Records, start: int) -> Iterator[bytes]:
+    """The packed parts of the records from `start` on, and of those in chunks that are not packed."""
+    while start + RECORD <= len(records):
+        kind, length = struct.unpack_from("<BQ", records, start)
+        start += RECORD
+        near = min(NEAR, length) if kind in BEFORE else 0
+        mark = MARKS.search(records, start + BEFORE.get(kind, 0), start + near)
         if mark:
-            file.seek(start + mark.start())
-            yield
-        letters = int.from_bytes(near[28:32], "little")
+            yield records[mark.start() : start + length]
+        letters = int.from_bytes(records[start + 28 : start + 32], "little")
         start += CHUNK_HEAD + letters if kind == CHUNK and not mark else length
 
 
-def _check_part(file: IO[bytes], most: int) -> IO[bytes]:
-    """What the file has unpacked, from where it is; nothing where that is not packed. Raises `LogError`."""
-    place = file.tell()
-    unpacked = io.BytesIO()
-    packed = MARKS.match(file.read(4))
-    file.seek(place)
-    unpacked.writelines(_unpacked(file, most) if packed else ())
-    return unpacked
+def _unpacked(data: bytes, most: int) -> bytes:
+    """What a part unpacks to; nothing where it is not packed. Raises `LogError`."""
+    mark = MARKS.match(data)
+    return b"".join(_pieces(io.BytesIO(data), mark[0], most)) if mark else b""
 
 
-def _unpacked(packed: IO[bytes], most: int) -> Iterator[bytes]:
-    """What the frames that follow each other in a part unpack to. Raises `LogError` where that is more than `most`."""
-    left, data = most, packed.read(PIECE)
-    unpacker = unpacker_of(data)
-    while data or not unpacker.needs_input:
-        piece = unpacker.decompress(data, max_length=PIECE)
+def _pieces(packed: IO[bytes], mark: bytes, most: int) -> Iterator[bytes]:
+    """What a packed file unpacks to. Raises `LogError` where that is more than `most` bytes."""
+    left, file = most, opened(packed, mark)
+    for piece in iter(partial(_next_piece, file), b""):
         left -= len(piece)
         if left < 0:
             raise LogError(f"a chunk unpacks to more than {most} bytes, too much for the size of the bag")
         yield piece
-        if unpacker.eof:  # several frames may follow each other
-            data = (unpacker.unused_data or b"") + packed.read(len(ZSTD))
-            if not MARKS.match(data):
-                return
-            unpacker = unpacker_of(data)
-        else:
-            data = packed.read(PIECE) if unpacker.needs_input else b""
+
+
+def _next_piece(file: IO[bytes]) -> bytes:
+    """Some bytes of an opened file; none where it ends, or is damaged: other parts are checked all the same."""
+    try:
+        return file.read(PIECE)
+    except Exception:  # damaged bytes may raise anything
+        return b""

@@ -31,7 +31,7 @@ from mecp_env.core.settings import guess
 from mecp_env.logs.recording import MOST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
 
 MOST_BYTES = 2**30
-PACKED, PIECE, LONGEST_LINE = ".gz", 2**14, 2**20
+PACKED, LONGEST_LINE = ".gz", 2**20
 MAGIC = b"\x1f\x8b"  # of a packed file, whatever its name: browsers unpack files and keep the name
 BASE_BYTES, FACTOR = 40 * 2**20, 12  # a packed file may unpack to so much, and so many times its size
 NAMED = 5  # kinds of other lines that an error names
@@ -55,8 +55,12 @@ class CarmenLog:
     cut: bool = False  # this line has no end
     others: dict[str, None] = field(default_factory=dict)  # the first kinds of lines that are not read
 
-    def read(self, words: list[str]) -> None:
-        """Take in one line that is neither empty nor a comment, or count it as damaged."""
+    def read(self, number: int, line: bytes) -> None:
+        """Take in one line, unless it is empty or a comment, or count it as damaged."""
+        words = line.removeprefix(codecs.BOM_UTF8).decode("latin-1").split()
+        if not words or words[0].startswith("#"):
+            return
+        self.line, self.cut = number, not line.endswith(b"\n")
         kind, counts = words[0], self.recording.counts
         try:
             if kind in READERS:
@@ -124,11 +128,10 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     data = read_bytes(path, MOST_BYTES)
     recording = Recording(path.name, len(data))
     log = CarmenLog(recording, field_of_view_deg)
-    for number, is_cut, words in _lines(data, recording.counts):
+    for number, line in enumerate(lines_of(data, recording.counts), start=1):
         if number > MOST_LINES + len(data):
             raise LogError(f"it has more than {MOST_LINES + len(data)} lines, too many for its size; unpack it first")
-        log.line, log.cut = number, is_cut
-        log.read(words)
+        log.read(number, line)
     kind = _message(log, message)
     recording.counts["scans of another message"] += len(log.kinds) - log.kinds.count(kind)
     recording.sweeps = [sweep for sweep, its in zip(recording.sweeps, log.kinds, strict=True) if its == kind]
@@ -137,38 +140,21 @@ def read_carmen(path: Path, message: str | None = None, field_of_view_deg: float
     return recording
 
 
-def _lines(data: bytes, counts: Counter[str]) -> Iterator[tuple[int, bool, list[str]]]:
-    """The number, whether it has no end, and the words of each line that is neither empty nor a comment."""
-    number, rest = 0, b""
-    for piece in unpacked(data, counts):
-        *lines, rest = (rest + piece).split(b"\n")
-        for place, line in enumerate(lines, start=number + 1) if any(lines) else ():
-            if line and (words := _words(line)):
-                yield place, False, words
-        number, rest = number + len(lines), rest[:LONGEST_LINE]
-    if words := _words(rest):
-        yield number + 1, True, words
+def lines_of(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
+    """The lines of a file, unpacked where it is packed; of one that is cut short, what there is. Raises `LogError`.
 
-
-def _words(line: bytes) -> list[str]:
-    """Those of a line; none of a comment."""
-    words = line.removeprefix(codecs.BOM_UTF8).decode("latin-1").split()
-    return [] if words and words[0].startswith("#") else words
-
-
-def unpacked(data: bytes, counts: Counter[str]) -> Iterator[bytes]:
-    """The pieces of a file, unpacked where it is packed; of one that is cut short, what there is. Raises `LogError`."""
-    if not data.startswith(MAGIC):
-        yield from iter(partial(io.BytesIO(data if b"\n" in data else data.replace(b"\r", b"\n")).read, PIECE), b"")
-        return
+    A line that is longer than any message comes in pieces.
+    """
+    is_packed = data.startswith(MAGIC)
+    data = data if is_packed or b"\n" in data else data.replace(b"\r", b"\n")
     left = most = BASE_BYTES + FACTOR * len(data)
     try:
-        with gzip.open(io.BytesIO(data)) as file:
-            for piece in iter(partial(file.read, PIECE), b""):
-                left -= len(piece)
+        with gzip.open(io.BytesIO(data)) if is_packed else io.BytesIO(data) as file:
+            for line in iter(partial(file.readline, LONGEST_LINE), b""):
+                left -= len(line)
                 if left < 0:
                     raise LogError(f"it has more than {most} bytes unpacked, too much for its size; unpack it first")
-                yield piece
+                yield line
     except (OSError, EOFError, zlib.error) as error:
         if left == most:
             raise LogError(f"no {PACKED} file, or damaged ({error!s:.80})") from None

@@ -160,7 +160,7 @@ def _sorted_out(sweeps: list[Sweep], have_poses: bool, recording: Recording) -> 
     counts, stamps = recording.counts, _stamps(sweeps)
     rows = ascending_rows(stamps, equal=True)
     counts[OUT_OF_ORDER + (", placed by their lines" if have_poses else "")] += len(stamps) - len(rows)
-    if have_poses and len(rows):
+    if have_poses:
         stamps, rows = _filled(stamps, rows), np.arange(len(stamps))
     repeats = _repeats(sweeps, stamps, rows)
     counts["scans that repeat the one before"] += int(repeats.sum())
@@ -204,8 +204,6 @@ def _repeats(sweeps: list[Sweep], stamps: Array, rows: Ints) -> Bools:
 
 def _spread(stamps: Array) -> Array:
     """Stamps (n,) that do not descend, with equal ones spread evenly up to the next."""
-    if not len(stamps):
-        return stamps
     values, first, count = np.unique(stamps, return_index=True, return_counts=True)
     ends = np.append(values[1:], values[-1] + _spacing(values))
     place = np.arange(len(stamps)) - np.repeat(first, count)

@@ -20,9 +20,9 @@ import numpy as np
 
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import LogError
+from mecp_env.logs.carmen import LONGEST_LINE
 from mecp_env.logs.recording import FEWEST_BEAMS, MOST_BEAMS, Geometry, Recording, Sweep
 
-LONGEST_LINE = 2**20
 COMMENTS = ("#", "%")
 SEPARATORS = (";", "\t", "|", ",")
 LIST, JOIN = re.compile(r"[\[({]([^\[\](){}]*)[\])}]"), "\x1f"

@@ -54,7 +54,7 @@ def laser_fault(log: Log, distance_scale: float = 1.0) -> str | None:
             f"expected: try {option}--odometry none"
         )
     yaw = -cmath.phase(turn)
-    turned, degrees = abs(yaw) > LEAST_YAW_RAD, _whole_degrees(yaw)
+    turned, degrees = abs(yaw) > LEAST_YAW_RAD, 180 - (180 - round(math.degrees(yaw))) % 360
     options = ["--mirror"] * mirrored + [f"--laser-yaw-deg {degrees}"] * turned
     if not options:
         return None
@@ -86,12 +86,6 @@ def _other_view(view_deg: float, wider: float) -> str:
         f"the robot turns {wider:.2g} times as far by its odometry as by its scans: the log does not say the field of "
         f"view, and {view_deg:.0f} deg are taken: try --field-of-view-deg {found:.0f}"
     )
-
-
-def _whole_degrees(angle: float) -> int:
-    """In (-180, 180]."""
-    degrees = round(math.degrees(angle))
-    return 180 if degrees == -180 else degrees
 
 
 def _moving(T_odom_robot: Array) -> Ints:

@@ -13,8 +13,8 @@ from typing import Literal
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.core.se2 import between, interpolated
-from mecp_env.logs.clock import ascending_rows
+from mecp_env.core.se2 import between, interpolated, to_map
+from mecp_env.logs.poses import sound
 from mecp_env.logs.readings import Readings
 from mecp_env.logs.recording import Geometry, Sweep, Track
 
@@ -65,8 +65,7 @@ def swallowed_of(ranges: Array, step_rad: float) -> float:
 def _on_one_wall(a: Array, b: Array, angle: float) -> Bools:
     """True for ranges m, so many rad apart, whose points are near each other; not for nan."""
     apart = np.sqrt(np.maximum(a * a + b * b - 2.0 * math.cos(angle) * a * b, 0.0))
-    near: Bools = apart < np.maximum(ON_WALL_M, ON_WALL_STEPS * angle * np.minimum(a, b))
-    return near
+    return apart < np.maximum(ON_WALL_M, ON_WALL_STEPS * angle * np.minimum(a, b))
 
 
 JOINED_M, JOINED_STEPS = 0.1, 6.0  # neighbouring hits nearer than this, or than so many times their spacing, are one
@@ -109,20 +108,17 @@ def _partners(t: Array, sweeps: list[Sweep], odometry: Track) -> tuple[Ints, Arr
 
 def _motion(t: Array, other: Array, odometry: Track) -> Array:
     """(n,3) the robot's pose at the stamps `other` (n,) in its frame at t (n,), by the odometry."""
-    stamps = np.array(odometry.t, np.float64)
-    rows = ascending_rows(stamps)
-    if len(rows) < 2:
+    stamps, poses = sound(odometry)
+    if len(stamps) < 2:
         return np.zeros((len(t), 3))
-    poses = np.array(odometry.poses)[rows]
-    return between(*(interpolated(stamps[rows], poses, at) for at in (t, other)))
+    return between(*(interpolated(stamps, poses, at) for at in (t, other)))
 
 
 def _points(readings: Readings, row: int, mount: Array, motion: Array) -> Array:
     """(B,2) m in the robot's frame, nan where nothing returned."""
     ranges, angles = readings.ranges[row], readings.bearings + mount[2]
     x, y = mount[0] + ranges * np.cos(angles), mount[1] + ranges * np.sin(angles)
-    c, s = math.cos(motion[2]), math.sin(motion[2])
-    return np.stack((motion[0] + c * x - s * y, motion[1] + s * x + c * y), axis=1)
+    return to_map(motion, np.stack((x, y), axis=1))
 
 
 def _rasterise(points: Array, ranges: Array) -> None:

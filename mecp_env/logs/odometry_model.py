@@ -103,8 +103,7 @@ class OdometryModel(Settings):
         """(2,) m, rad: standard deviations of a motion of this path and turn, both at least 0."""
         per_root = np.array([self.distance_sigma_m, math.radians(self.turn_sigma_deg)])
         turning = np.array([self.distance_sigma_turning_m, math.radians(self.turn_sigma_turning_deg)])
-        sigmas: Array = np.sqrt(per_root**2 * distance_m + turning**2 * turn_rad)
-        return sigmas
+        return np.sqrt(per_root**2 * distance_m + turning**2 * turn_rad)
 
     def corrected(self, motion: Array) -> Array:
         """(n,3) or (3,) m, rad: relative poses of the robot without scale and bias, of measured ones."""

@@ -122,8 +122,7 @@ def _lengths(poses: Array) -> Array:
 
 def _are_jumps(stamps: Array, poses: Array) -> Bools:
     """(m-1,) true where a robot would be too fast from one of the poses (m,3) to the next."""
-    jumps: Bools = _lengths(poses) > SLACK_M + FASTEST_M_S * np.diff(stamps)
-    return jumps
+    return _lengths(poses) > SLACK_M + FASTEST_M_S * np.diff(stamps)
 
 
 def without_jumps(t: Array, T_odom_robot: Array, counts: Counter[str]) -> Array:

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from mecp_env.core.carriers import Array, Bools
-from mecp_env.core.se2 import between, chained, composed, wrapped
+from mecp_env.core.se2 import between, chained, composed, to_map, wrapped
 from mecp_env.logs.log import Log
 
 ROUNDS = 20  # of ICP at most
@@ -120,8 +120,7 @@ def _in_gaps(t: Array, sampled: Array) -> Bools:
 
 def _is_still(steps: Array) -> Bools:
     """(n-1,) true for each step (n-1,3) that is no motion."""
-    still: Bools = (np.hypot(steps[:, 0], steps[:, 1]) < STILL_M) & (abs(steps[:, 2]) < STILL_RAD)
-    return still
+    return (np.hypot(steps[:, 0], steps[:, 1]) < STILL_M) & (abs(steps[:, 2]) < STILL_RAD)
 
 
 def _runs(chosen: Bools) -> list[tuple[int, int]]:
@@ -194,15 +193,9 @@ def _best(key: Surface, scan: Surface, still: Array, predicted: Array) -> tuple[
     return (best, share) if share > POOR_SHARE else (predicted, share)
 
 
-def _moved(points: Array, pose: Array) -> Array:
-    c, s = math.cos(pose[2]), math.sin(pose[2])
-    x, y = points.T
-    return np.stack((pose[0] + c * x - s * y, pose[1] + s * x + c * y), axis=1)
-
-
 def _distance(key: Surface, scan: Surface, pose: Array) -> float:
     """The mean distance of the points of a scan from those of the key scan, far ones limited."""
-    distance, _ = key.tree.query(_moved(scan.points, pose), distance_upper_bound=REACH_M)
+    distance, _ = key.tree.query(to_map(pose, scan.points), distance_upper_bound=REACH_M)
     return float(np.minimum(distance, REACH_M).mean())
 
 
@@ -221,7 +214,7 @@ def _icp(key: Surface, scan: Surface, start: Array) -> tuple[Array, float]:
 
 def _gauss_newton(key: Surface, scan: Surface, pose: Array, reach: float) -> tuple[Array, Bools]:
     """One step (3,), and which points (n,) fit."""
-    moved = _moved(scan.points, pose)
+    moved = to_map(pose, scan.points)
     distance, partner = key.tree.query(moved, distance_upper_bound=reach)
     found = np.flatnonzero(np.isfinite(distance))
     partner = np.asarray(partner)

@@ -6,6 +6,7 @@ sweeps.
 
 from __future__ import annotations
 
+import io
 import math
 import re
 from array import array
@@ -20,7 +21,7 @@ import numpy as np
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import LogError
 from mecp_env.core.files import read_bytes
-from mecp_env.logs.carmen import MOST_BYTES, PACKED, unpacked
+from mecp_env.logs.carmen import MOST_BYTES, PACKED, lines_of
 from mecp_env.logs.clock import DAY_S
 from mecp_env.logs.columns import JOIN, UNITS, Place, Row, columns_of, flat, number, numbers, parsed, rows_of
 from mecp_env.logs.recording import FEWEST_BEAMS, MOST_BEAMS, POSE_BYTES, Geometry, Recording, Sweep
@@ -51,7 +52,9 @@ def read_table(path: Path, field_of_view_deg: float | None = None) -> Recording:
     """What is in a table. Raises `LogError`."""
     data = read_bytes(path, MOST_BYTES)
     recording = Recording(path.name, len(data))
-    data = b"".join(unpacked(data, recording.counts))
+    whole = io.BytesIO()  # a list of short lines would take several times as much
+    whole.writelines(lines_of(data, recording.counts))
+    data = whole.getvalue()
     is_dat = path.name.lower().removesuffix(PACKED).endswith(".dat")
     (_read_dat if is_dat else _read_csv)(data, recording, field_of_view_deg)
     if not recording.sweeps:

@@ -180,10 +180,8 @@ def options_of(policy: Policy) -> dict[str, Any]:
     if not isinstance(given, Mapping):
         raise ConfigError(f"policy: {name!r:.80}: settings {shown(given)}, expected a dict of the fields of EnvConfig")
     if given.get("actions", actions) != actions:
-        raise ConfigError(
-            f"policy: {name!r:.80}: settings of actions {shown(given['actions'])}, but its `actions` are "
-            f"{shown(actions)}"
-        )
+        theirs = shown(given["actions"])
+        raise ConfigError(f"policy: {name!r:.80}: settings of actions {theirs}, but its `actions` are {shown(actions)}")
     if selected := [field for field in SELECTED if field in given]:
         raise ConfigError(f"policy: {name!r:.80}: settings of {', '.join(selected)}, which the evaluation selects")
     fields = {**given, "actions": actions}

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.collections import Collection
@@ -65,9 +66,10 @@ def open_axes(axes: Axes) -> None:
 
 
 def save(figure: Figure, path: Path, dpi: int = DPI) -> None:
-    """Write a figure as PNG without the date, so that the same figure gives the same file."""
-    with boxes_for_missing_glyphs():
-        figure.savefig(path, dpi=dpi, metadata={"Software": None})
+    """Write a figure as PNG or SVG, by the ending of `path`; without date: the same figure gives the same file."""
+    nameless = {"Date": None, "Creator": None} if path.suffix.lower() == ".svg" else {"Software": None}
+    with rc_context({"svg.hashsalt": "mecp_env"}), boxes_for_missing_glyphs():
+        figure.savefig(path, dpi=dpi, metadata=nameless)
 
 
 @contextmanager

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pathlib import Path as FilePath
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -22,7 +21,7 @@ from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.files import sanitised
 from mecp_env.render import palette
-from mecp_env.render.figures import boxes_for_missing_glyphs
+from mecp_env.render.figures import boxes_for_missing_glyphs, save
 from mecp_env.render.palette import LINES, FloorPlan, PlanRoom, Shape, unit
 
 FORMATS = (".png", ".svg")
@@ -54,10 +53,8 @@ def check_count(count: int) -> None:
 def save_plans(plans: Sequence[FloorPlan], path: FilePath, dpi: int = DPI) -> None:
     """Draw plans and write them as PNG or SVG, by the ending of `path`; without date."""
     check_format(path)
-    with mpl.rc_context({"svg.hashsalt": "mecp_env"}), boxes_for_missing_glyphs():
-        figure = plans_figure(plans)
-        nameless = {"Date": None, "Creator": None} if path.suffix.lower() == ".svg" else {"Software": None}
-        figure.savefig(path, dpi=dpi, metadata=nameless)
+    with boxes_for_missing_glyphs():
+        save(plans_figure(plans), path, dpi)
 
 
 def plans_figure(plans: Sequence[FloorPlan]) -> Figure:

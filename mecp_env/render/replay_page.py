@@ -113,10 +113,8 @@ class ReplayError(MecpError):
 def write_page(run: dict[str, Any], path: Path) -> None:
     """Write the page that plays a run (`Recorder.run`, `read_page`). Raises `OSError`."""
     packed = gzip.compress(json.dumps(run, separators=(",", ":")).encode(), 9, mtime=0)
-    parts = {
-        name: (files(__package__) / "player" / name).read_text("utf-8")
-        for name in ("page.html", "style.css", "player.js")
-    }
+    player = files(__package__) / "player"
+    parts = {name: (player / name).read_text("utf-8") for name in ("page.html", "style.css", "player.js")}
     texts = {"title": html.escape(run["title"]), "version": str(VERSION), "run": base64.b64encode(packed).decode()}
     texts |= {"style": parts["style.css"], "player": parts["player.js"]}
     page = MARK.sub(lambda mark: texts[mark[1]], parts["page.html"])  # at once: a text may hold what looks like a mark
@@ -147,10 +145,8 @@ def packed_run(path: Path) -> bytes:
     if found is None:
         raise ReplayError(f"{path}: no replay of mecp_env, or a part of it is missing; {AGAIN}")
     if int(found[1]) > VERSION:
-        version = found[1].decode()
-        raise ReplayError(
-            f"{path}: version {version:.20} of the replay, this mecp_env reads up to {VERSION}; update it"
-        )
+        made = found[1].decode()  # of nine digits at most
+        raise ReplayError(f"{path}: version {made} of the replay, this mecp_env reads up to {VERSION}; update it")
     try:
         return base64.b64decode(found[2], validate=True)
     except ValueError as error:

@@ -24,14 +24,13 @@ from mecp_env.slam.messages import LANDMARK, Decision, Match, Reason, SemanticGr
 from mecp_env.slam.output import SlamOutput
 
 INSTALL = "install the extra `viewer`: pip install 'mecp_env[viewer]'"
-PANELS: Mapping[str, tuple[str, ...]] = {  # metrics that are drawn over time, by the panel that they are in
-    "error": ("pose_error_m",),
-    "nees": ("nees",),
-    "share": ("coverage", "correct_coverage"),
-    "count": ("landmarks", "rooms_found", "doors_found", "contacts"),
-    "reward": (),
+PANELS: Mapping[str, tuple[str, tuple[str, ...]]] = {  # panel -> title, and metrics that are drawn over time in it
+    "error": ("Pose error and 3 sigma, m", ("pose_error_m",)),
+    "nees": ("NEES", ("nees",)),
+    "share": ("Coverage and confidence", ("coverage", "correct_coverage")),
+    "count": ("Found", ("landmarks", "rooms_found", "doors_found", "contacts")),
+    "reward": ("Reward, summed", ()),
 }
-TITLES = ("Pose error and 3 sigma, m", "NEES", "Coverage and confidence", "Found", "Reward, summed")
 HEIGHTS = {"grid": -0.02, "lines": 0.0, "points": 0.02}  # m, so that points are drawn above lines
 THIN_M, THICK_M = 0.015, 0.04  # radii of lines
 DOT_M = 0.05
@@ -126,7 +125,7 @@ class RerunLog:
 
     def _map(self, view: SceneView) -> None:
         """Grid, landmarks with ellipses, polygons and doors of the map, as far as its landmarks are in the filter."""
-        output, belief, graph = view.slam_output, view.slam_output.belief, view.slam_output.graph
+        output, belief = view.slam_output, view.slam_output.belief
         believed = replace(view, T_world_map=np.zeros(3))  # in the map frame
         if self.grid_version != output.grid.version:
             self.grid_version = output.grid.version
@@ -135,9 +134,8 @@ class RerunLog:
         self._points("belief/landmarks", belief.p_map, palette.LANDMARK, DOT_M, names)
         ellipses = shapes.landmark_ellipses(believed)
         self._lines("belief/landmark_ellipses", map(shapes.closed, ellipses), palette.LANDMARK)
-        known = [polygon for polygon in output.map_polygons if np.isin(polygon.ids, belief.ids).all()]
-        rings = [shapes.closed(belief.p_map[belief.rows(polygon.ids)]) for polygon in known]
-        colours = [palette.room_colour(graph.resolve(polygon.room)) for polygon in known]
+        polygons = shapes.polygon_rings(believed)
+        rings, colours = [shapes.closed(ring) for ring, _ in polygons], [colour for _, colour in polygons]
         self._lines("belief/map_polygons", rings, colours)
         faces, gaps = shapes.door_lines(believed)
         self._lines("belief/doors", faces, palette.DOOR, THICK_M)
@@ -156,7 +154,7 @@ class RerunLog:
         """Scalars: what the replay draws over time."""
         self.earned |= earned(self.earned, info)
         belief, curves = view.slam_output.belief, dict[str, float]()
-        for panel, names in PANELS.items():
+        for panel, (_, names) in PANELS.items():
             curves |= {f"{panel}/{name}": view.metrics[name] for name in names if name in view.metrics}
         curves["error/three_sigma_m"] = 3.0 * float(np.sqrt(belief.pose_cov[:2, :2].trace()))
         curves["share/confidence"] = view.slam_output.confidence
@@ -202,9 +200,7 @@ class RerunLog:
 def _first_view(bounds: Array) -> Any:
     """How the window is arranged at first: the plan (2,2) from above, beside it curves and text."""
     views = import_module("rerun.blueprint")
-    curves = [
-        views.TimeSeriesView(origin=f"curves/{name}", name=shown) for name, shown in zip(PANELS, TITLES, strict=True)
-    ]
+    curves = [views.TimeSeriesView(origin=f"curves/{name}", name=title) for name, (title, _) in PANELS.items()]
     so_far = views.VisibleTimeRange(
         "time", start=views.TimeRangeBoundary.infinite(), end=views.TimeRangeBoundary.cursor_relative()
     )

@@ -91,13 +91,8 @@ def _draw_clusters(clusters: Clusters, axes: Axes, output: SlamOutput) -> None:
 def _draw_segments(axes: Axes, output: SlamOutput) -> None:
     points = list(output.segments.points)
     colours = [unit(palette.SERIES[row % len(palette.SERIES)]) for row in range(len(points))]
-    axes.plot(
-        *_hits(output).T,
-        ".",
-        color=unit(palette.mix(palette.FAINT, palette.FREE, 0.4)),
-        markersize=3,
-        label="merged beams",
-    )
+    grey = unit(palette.mix(palette.FAINT, palette.FREE, 0.4))
+    axes.plot(*_hits(output).T, ".", color=grey, markersize=3, label="merged beams")
     axes.add_collection(LineCollection(points, colors=colours, linewidths=2.0))
     ends = np.concatenate([np.empty((0, 2)), *points])
     axes.plot(*ends.T, "|", color=unit(palette.INK), markersize=7, label="end of a line")

@@ -63,14 +63,31 @@ class SensorModel(LaserNoise):
 class ClusteringConfig(Settings):
     """III-A.1, data clustering."""
 
+    DERIVED: ClassVar = ("is_adaptive", "allows_noise", "is_union")
+
     threshold: Literal["adaptive_noise", "adaptive", "fixed"] = "adaptive_noise"  # paper: "adaptive", no noise term
     grazing_deg: float = Field(85.0, gt=45.0, lt=90.0)  # paper: 85
     fixed_m: float = Field(0.3, gt=0.0, le=5.0)
     sweeps: Literal["mean", "union"] = "mean"  # of a dense scan: one mean per bearing, or every beam; paper: "union"
 
+    @property
+    def is_adaptive(self) -> bool:
+        """True where the threshold grows with the range."""
+        return self.threshold != "fixed"
+
+    @property
+    def allows_noise(self) -> bool:
+        """True where noise widens the threshold."""
+        return self.threshold == "adaptive_noise"
+
+    @property
+    def is_union(self) -> bool:
+        """True where every beam of a dense scan is kept."""
+        return self.sweeps == "union"
+
     def united(self, sweeps: int) -> int:
         """How many sweeps the beams of a scan with so many are the union of."""
-        return sweeps if self.sweeps == "union" else 1
+        return sweeps if self.is_union else 1
 
 
 class SegmentConfig(Settings):
@@ -106,6 +123,8 @@ class GapConfig(Settings):
 class CornerConfig(Settings):
     """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
+    DERIVED: ClassVar = ("is_constant",)
+
     min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner; else parallel
     detail_m: float = Field(0.25, gt=0.0, le=5.0)  # two corners nearer are one; beams behind an end are farther
     line_m: float = Field(0.1, gt=0.0, le=2.0)  # off a line, or off the end of a segment by less: on it
@@ -123,6 +142,11 @@ class CornerConfig(Settings):
     door_range_m: float = Field(3.5, gt=0.0, le=30.0)  # farther, or
     door_incidence_deg: float = Field(60.0, gt=0.0, lt=90.0)  # more from the side, a gap is no sighting of a door
     gaps: GapConfig = GapConfig()
+
+    @property
+    def is_constant(self) -> bool:
+        """True where every corner has the same covariance."""
+        return self.covariance == "sensor"
 
 
 class PolygonConfig(Settings):

@@ -15,7 +15,6 @@ from benchmarks.variants import associating, associators
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
-from mecp_env.slam.frontend.scan import merge_sweeps
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
 
 
@@ -26,7 +25,7 @@ def drive() -> Drive:
 
 @pytest.fixture(scope="module")
 def scans(drive: Drive) -> list[tuple[Corners, MergedScan]]:
-    return [(front_end(scan, drive.slam)[0], merge_sweeps(scan, drive.slam.sensor)) for scan in drive.scans]
+    return [front_end(scan, drive.slam)[:2] for scan in drive.scans]
 
 
 def test_no_clutter_is_the_estimator_itself_to_the_bit(drive: Drive) -> None:

@@ -17,7 +17,7 @@ def test_the_three_ways_to_cast_rays_agree() -> None:
     space = speed.pymunk_space(outline)
     for seed in range(5):
         pose = random_free_pose(outline, np.random.default_rng(seed), 0.3)
-        exact = speed.brute_force(outline.segments, pose)
+        exact = speed.brute_force(outline, pose)
         assert cast_rays(outline.segments, pose, BEAMS) == pytest.approx(exact, abs=1e-6)
         assert speed.query_pymunk(space, pose) == pytest.approx(exact, abs=1e-6)
 

@@ -42,20 +42,6 @@ def toy(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> str:
     return "toy-v1"
 
 
-class FlatDriver:
-    """A stranger's class: flat observations and discrete actions."""
-
-    actions, settings = "discrete", {"observation": "flat"}
-
-    def reset(self, seed: int = 0) -> None:
-        """Nothing to do."""
-
-    def act(self, observation: Any, mask: Any = None) -> int:
-        """Ahead."""
-        assert observation.ndim == 1
-        return 1
-
-
 class TwoActions(Nearest):
     """A class that contradicts itself."""
 
@@ -63,8 +49,8 @@ class TwoActions(Nearest):
 
 
 def test_a_class_becomes_a_row_beside_the_references(toy: str, tmp_path: Path, capsys: Captured) -> None:
-    path = tmp_path / "mine.json"
-    line = ["submit", f"{__name__}:FlatDriver", "--suite", toy, "--name", "mine", "--seeds", "3", "--out", str(path)]
+    path, policy = tmp_path / "mine.json", "tests.policies.scenes:FlatDriver"
+    line = ["submit", policy, "--suite", toy, "--name", "mine", "--seeds", "3", "--out", str(path)]
     assert cli.main([*line, "--hours", "1.5"]) == 0
     out = capsys.readouterr().out
     assert "| | easy | hours | seeds |" in out

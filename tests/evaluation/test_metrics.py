@@ -163,13 +163,12 @@ def perfect_map(truth, T_world_map, resolution=0.1):
     """A perfect grid, graph and belief; the map frame is rotated relative to the world frame."""
     x0, y0, x1, y1 = truth.outline.bounds
     corners = np.array([[x, y] for x in (x0, x1) for y in (y0, y1)])
-    p_map = np.array([compose(inverse(T_world_map), np.array([*corner, 0.0]))[:2] for corner in corners])
+    p_map = to_map(inverse(T_world_map), corners)
     origin = p_map.min(axis=0) - 0.5
     cols, rows = np.ceil((p_map.max(axis=0) + 0.5 - origin) / resolution).astype(int)
     y, x = np.mgrid[0:rows, 0:cols]
     cells = origin + (np.stack([x, y], axis=-1) + 0.5) * resolution
-    c, s = math.cos(T_world_map[2]), math.sin(T_world_map[2])
-    world = T_world_map[:2] + cells @ np.array([[c, s], [-s, c]])
+    world = to_map(T_world_map, cells.reshape(-1, 2)).reshape(cells.shape)
     index = np.floor((world - truth.corner) / CELL_M).astype(int)
     inside = (index >= 0).all(axis=-1) & (index < np.array(truth.free.shape[::-1])).all(axis=-1)
     index[~inside] = 0
@@ -177,12 +176,9 @@ def perfect_map(truth, T_world_map, resolution=0.1):
     room = np.where(free, truth.room[index[..., 1], index[..., 0]], -1).astype(np.int16)
     painted = grid(free, room, free, origin=origin, resolution_m=resolution)
     outline = truth.outline
-    half = (
-        0.5 * outline.doors.width[:, None] * np.stack([-np.sin(outline.doors.normal), np.cos(outline.doors.normal)], 1)
-    )
-    jambs = np.concatenate([outline.doors.centre - half, outline.doors.centre + half])
-    p_jambs = np.array([compose(inverse(T_world_map), np.array([*jamb, 0.0]))[:2] for jamb in jambs]).reshape(-1, 2)
-    d = len(outline.doors)
+    centre, width, normal, d = outline.doors.centre, outline.doors.width, outline.doors.normal, len(outline.doors)
+    half = 0.5 * width[:, None] * np.stack([-np.sin(normal), np.cos(normal)], axis=1)
+    p_jambs = to_map(inverse(T_world_map), np.concatenate([centre - half, centre + half]))
     doors = tuple(door(i, (i, d + i), rooms=tuple(outline.doors.rooms[i].tolist())) for i in range(d))
     rooms = graph(rooms=tuple(range(len(outline.rooms))), doors=doors)
     return output(grid=painted, graph=rooms, belief=belief(p_map=p_jambs))

@@ -19,7 +19,7 @@ from mecp_env.learning.encoder import make_network  # noqa: E402
 from mecp_env.learning.exported import NotFiniteError  # noqa: E402
 from mecp_env.learning.learned import load, save_policy, write_json  # noqa: E402
 from mecp_env.policies.registry import KIND, PLACE, VALID, WAIT, WEIGHTS, choices, shipped  # noqa: E402
-from tests.learning.training import quick  # noqa: E402
+from tests.learning.training import flipped, quick  # noqa: E402
 
 
 @pytest.fixture
@@ -62,10 +62,7 @@ def test_weights_survive_the_way_through_a_file(folder):
 
 
 def test_a_file_that_is_damaged_or_too_large_is_refused_before_it_is_read(folder, monkeypatch):
-    path = weights(folder)
-    data = bytearray(path.read_bytes())
-    data[-1] ^= 1
-    path.write_bytes(data)
+    flipped(weights(folder))
     refused(folder, r"SHA-256 is .*, expected")
     monkeypatch.setattr("mecp_env.learning.learned.MOST_BYTES", 100)
     refused(folder, "at most 100")

@@ -21,8 +21,9 @@ from mecp_env.core.processes import cores  # noqa: E402
 from mecp_env.learning import train  # noqa: E402
 from mecp_env.learning.environments import vectorise  # noqa: E402
 from mecp_env.vector import WorkerDied  # noqa: E402
+from tests.cli.pipes import closed_pipe  # noqa: E402
 from tests.learning.test_learned import Payload  # noqa: E402
-from tests.learning.training import QUICK, made_in, resume, run, weights_in  # noqa: E402
+from tests.learning.training import QUICK, flipped, made_in, resume, run, weights_in  # noqa: E402
 
 
 @pytest.mark.parametrize(
@@ -62,12 +63,9 @@ def test_the_processes_of_environments_and_one_that_dies():
     pair.close()
 
 
-def test_a_reader_that_goes_does_not_end_the_run(tmp_path, monkeypatch):
+def test_a_reader_that_goes_does_not_end_the_run(tmp_path):
     """Seen: `train ... | head -1` ended early with exit code 0."""
-    reading, writing = os.pipe()
-    os.close(reading)
-    with os.fdopen(writing, "w", buffering=1) as output:
-        monkeypatch.setattr("sys.stdout", output)
+    with closed_pipe():
         folder, code = run(tmp_path, steps=12)
     assert code == 0
     assert made_in(folder)[-1] == 12
@@ -86,12 +84,6 @@ def trained(tmp_path_factory):
 def copy(trained, tmp_path):
     """A copy of it."""
     return shutil.copytree(trained, tmp_path / "run")
-
-
-def flipped(path):
-    data = bytearray(path.read_bytes())
-    data[len(data) // 2] ^= 1
-    path.write_bytes(data)
 
 
 CHANGES = {

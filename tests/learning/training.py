@@ -78,6 +78,13 @@ def weights_in(folder: Path) -> dict[str, Any]:
     return dict(load_from_zip_file(max(folder.glob("checkpoints/*.zip")), load_data=False)[1]["policy"])
 
 
+def flipped(path: Path) -> None:
+    """Turn a bit in the middle of a file."""
+    data = bytearray(path.read_bytes())
+    data[len(data) // 2] ^= 1
+    path.write_bytes(data)
+
+
 def run(tmp_path: Path, *words: str, **fields: object) -> tuple[Path, int]:
     """A run in this process; its folder and exit code."""
     config, folder = write_config(tmp_path / "given.json", **fields), tmp_path / "run"

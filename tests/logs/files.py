@@ -199,8 +199,6 @@ def bag_of(
     return bag
 
 
-def write_bag(
-    path: Path, scan_topics: tuple[str, ...] = ("/scan",), odometry: bool = True, frames: str = "/tf_static"
-) -> Path:
+def write_bag(path: Path, **more: Any) -> Path:
     """A bag of ROS 1 (`.bag`) or ROS 2 (a folder, or the file in it with the suffix of `path`)."""
-    return bag_of(path, scan_topics, odometry, frames).close()
+    return bag_of(path, **more).close()

@@ -1,5 +1,6 @@
 """Observations made by hand: goals, walls and landmarks where a test wants them."""
 
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -41,3 +42,17 @@ def landmarks(seen: dict[str, Any], places: list[tuple[float, float]], sigma_m: 
     """Put landmarks (robot frame) of one standard deviation into the observation."""
     for row, (x, y) in enumerate(places):
         seen["landmarks"][row] = [x, y, sigma_m**2, 0.0, sigma_m**2, 0.0, 0.0, 1.0]
+
+
+class FlatDriver:
+    """Drives ahead; it takes nothing but flat observations."""
+
+    actions, settings = "discrete", MappingProxyType({"observation": "flat"})
+
+    def reset(self, seed: int = 0) -> None:
+        """Nothing to do."""
+
+    def act(self, observation: Any, mask: Any = None) -> int:
+        """Ahead."""
+        assert observation.ndim == 1
+        return 1

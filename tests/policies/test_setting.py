@@ -17,6 +17,7 @@ from mecp_env.policies.recording import Recording
 from mecp_env.policies.rollout import EpisodeTask, make_rooms, run_episode
 from mecp_env.policies.setting import Setting, checksum_of, plan_fields, plan_names, words_of
 from mecp_env.world.layout import LIBRARY
+from tests.policies.scenes import FlatDriver
 
 NAMES = ("office", "paper", "two_rooms")
 
@@ -212,20 +213,6 @@ def test_wrong_input_is_refused_before_anything_is_written(
     message = " ".join(capsys.readouterr().err.split())
     assert re.search(said, message), message
     assert not list(tmp_path.iterdir())
-
-
-class FlatDriver:
-    """Drives ahead; it takes nothing but flat observations."""
-
-    actions, settings = "discrete", MappingProxyType({"observation": "flat"})
-
-    def reset(self, seed: int = 0) -> None:
-        """Nothing to do."""
-
-    def act(self, observation: Any, mask: Any = None) -> int:
-        """Ahead."""
-        assert observation.ndim == 1
-        return 1
 
 
 class MapReader(FlatDriver):

@@ -3,12 +3,12 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.se2 import to_robot
+from mecp_env.core.se2 import to_map, to_robot
 from mecp_env.render.shapes import SceneView
 from mecp_env.slam.messages import Cell, Corners, Decision, Reason, SemanticGrid
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make
-from tests.slam.scans import cast
+from tests.slam.scans import cast, ring
 
 Array = NDArray[np.float64]
 
@@ -24,8 +24,7 @@ T_WORLD_ROBOT = np.array([3.0, 2.2, 0.2])
 
 def faces() -> Array:
     """(S,2,2) m: the faces of the two rooms' walls, free space on the left."""
-    rings = [np.array(ring, float) for ring in (OUTER, INNER)]
-    return np.concatenate([np.stack([ring, np.roll(ring, -1, axis=0)], axis=1) for ring in rings])
+    return np.concatenate([ring(*OUTER), ring(*INNER)])
 
 
 def grid(T: Array) -> SemanticGrid:
@@ -33,8 +32,7 @@ def grid(T: Array) -> SemanticGrid:
     res, origin = 0.1, np.array([-3.0, -4.0])
     rows, cols = np.mgrid[0:90, 0:140]
     p_map = origin + res * (np.stack([cols.ravel(), rows.ravel()], axis=1) + 0.5)
-    c, s = np.cos(T[2]), np.sin(T[2])
-    x, y = T[0] + c * p_map[:, 0] - s * p_map[:, 1], T[1] + s * p_map[:, 0] + c * p_map[:, 1]
+    x, y = to_map(T, p_map).T
     near_door = (y > 1.5) & (y < 2.4)
     free = ((x > 0) & (x < 5) | (x > 5.1) & (x < 7)) & (y > 0) & (y < 4)
     wall = (x > -0.1) & (x < 5.1) & (y > -0.1) & (y < 4.1) & ~free

@@ -5,15 +5,11 @@ import math
 import numpy as np
 
 from mecp_env.core.se2 import polar_to_points
-from mecp_env.slam.config import SensorModel, SlamConfig
-from mecp_env.slam.frontend.clustering import cluster_beams
-from mecp_env.slam.frontend.corners import extract_corners
-from mecp_env.slam.frontend.scan import merge_sweeps
-from mecp_env.slam.frontend.segments import extract_segments
+from mecp_env.slam.config import SensorModel
 from tests.slam import make
+from tests.slam.frontend.make import PAPER, front_end
 from tests.slam.make import MAX_RANGE_M, nominal_bearings
 
-PAPER = SensorModel()
 EXACT = SensorModel(range_sigma_m=0.0, bearing_sigma_deg=0.0)
 LMS200 = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0)
 GROWING = SensorModel(range_sigma_m=0.01, range_sigma_share=0.01, bearing_sigma_deg=0.0)
@@ -65,16 +61,6 @@ def take_scan(faces, sensor=PAPER, seed=0, sweeps=4, beams=720, max_range_m=MAX_
 def blank_scan(sweeps=4, beams=720):
     """A burst that hit nothing."""
     return make.scan(np.full((sweeps, beams), MAX_RANGE_M))
-
-
-def front_end(scan, sensor=PAPER, config=None):
-    """MergedScan, clusters, segments and corners of a scan."""
-    config = config or SlamConfig()
-    rule = config.clustering
-    beams = merge_sweeps(scan, sensor, rule.sweeps)
-    clusters = cluster_beams(beams, rule, config.segments, sensor, rule.united(len(scan.ranges)))
-    segments = extract_segments(beams, clusters, config.segments, sensor)
-    return beams, clusters, segments, extract_corners(beams, segments, config.corners, sensor)
 
 
 def corners_of(faces, sensor=PAPER, seed=0, sweeps=4):

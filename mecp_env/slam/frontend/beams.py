@@ -1,4 +1,7 @@
-"""What compiled functions of the front end share: the laser's noise, the beams in order from a gap on, and lines."""
+"""What the stages of the front end pass on, as compiled functions take it, and the laser's noise.
+
+`Beams`, `BeamRuns` and `Pieces` have the fields of `MergedScan`, `Clusters` and `Segments` in their order.
+"""
 
 from __future__ import annotations
 
@@ -8,8 +11,54 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
+from mecp_env.slam.messages import MergedScan
 
 Records = Any  # a structured array
+
+
+class Beams(NamedTuple):
+    """One beam per nominal bearing, as in `MergedScan`."""
+
+    ranges: Array  # (B,) m
+    bearings: Array  # (B,) rad
+    hit: Bools  # (B,)
+    counts: Ints  # (B,) numbers of raw beams
+    max_range: float  # m
+    raw_ranges: Array  # (K*B,) m
+    raw_bearings: Array  # (K*B,) rad
+
+    @classmethod
+    def of(cls, scan: MergedScan) -> Beams:
+        """The beams of a scan."""
+        raw = scan.max_range_m, scan.raw_ranges, scan.raw_bearings
+        return cls(scan.ranges, scan.bearings, scan.hit, scan.count, *raw)
+
+
+class BeamRuns(NamedTuple):
+    """BeamRuns of beams that may be on one structure, as in `Clusters`."""
+
+    roll: int
+    first: Ints  # (C,)
+    last: Ints  # (C,)
+    kind: Ints  # (C,)
+
+
+class Pieces(NamedTuple):
+    """Straight pieces of wall, as in `Segments`."""
+
+    points: Array  # (L,2,2) m
+    line: Array  # (L,2)
+    cov: Array  # (L,2,2)
+    cluster: Ints  # (L,)
+    first: Ints  # (L,)
+    last: Ints  # (L,)
+    roll: int
+
+
+@compiled
+def step_of(bearings: Array) -> float:
+    """The spacing of bearings (B,), rad."""
+    return float((bearings[-1] - bearings[0]) / max(bearings.shape[0] - 1, 1))
 
 
 class Noise(NamedTuple):
@@ -37,8 +86,9 @@ def laser_noise(sensor: Rows) -> Noise:
 
 
 @compiled
-def roll_beams(ranges: Array, bearings: Array, count: Ints, roll: int) -> Array:
+def roll_beams(beams: Beams, roll: int) -> Array:
     """(3,B) from beam `roll` on: range m, bearing rad rising through the wrap at pi, number of raw beams."""
+    ranges, bearings, count = beams.ranges, beams.bearings, beams.counts
     size = ranges.shape[0]
     polar = np.empty((3, size))
     for beam in range(roll, size):

@@ -7,11 +7,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Ints, Record, Rows
+from mecp_env.core.carriers import Bools, Ints, Record, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.slam.config import ClusteringConfig, SegmentConfig, SensorModel
-from mecp_env.slam.frontend.beams import laser_noise
-from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan
+from mecp_env.slam.frontend.beams import BeamRuns, Beams, laser_noise, step_of
+from mecp_env.slam.messages import ClusterKind
 
 
 class Threshold(NamedTuple):
@@ -23,65 +22,37 @@ class Threshold(NamedTuple):
     sigma_share: float  # this share of the range
 
 
-def cluster_beams(
-    beams: MergedScan, config: ClusteringConfig, segments: SegmentConfig, sensor: SensorModel, sweeps: int = 1
-) -> Clusters:
-    """Runs of consecutive hits whose distances stay below the threshold D = d / cos(grazing), plus noise (III-A.1).
+@compiled
+def cluster_beams(beams: Beams, clustering: Rows, segments: Rows, sensor: Rows, sweeps: int = 1) -> BeamRuns:
+    """BeamRuns of consecutive hits whose distances stay below the threshold D = d / cos(grazing), plus noise (III-A.1).
 
-    Where the beams are the union of interleaved `sweeps`, d is that of one of them: its step is the laser's resolution.
+    Where the beams are the union of so many interleaved `sweeps`, d = 2 r sin(t/2) is that of one of them: its step t
+    is the laser's resolution.
 
     A run with fewer beams or a smaller extent than a segment has is SMALL. Differs from the paper: without the noise
     term a flat wall at 1 m is cut at a fifth of its beam pairs.
     """
-    denser = math.sin(0.5 * beams.step) / math.sin(0.5 * sweeps * beams.step) if sweeps > 1 else 1.0
-    fixed = config.threshold == "fixed"
-    rule = (
-        config.fixed_m if fixed else 0.0,
-        0.0 if fixed else denser * math.cos(math.radians(config.grazing_deg)),
-        sensor.noise_sigmas if config.threshold == "adaptive_noise" else 0.0,
+    rule, noise, step, size = clustering[0], laser_noise(sensor), step_of(beams.bearings), beams.ranges.shape[0]
+    per_metre = 2.0 * math.sin(sweeps * step / 2.0) / math.cos(rule.grazing_rad) if rule.is_adaptive else 0.0
+    sigmas = noise.gate if rule.allows_noise else 0.0
+    threshold = Threshold(
+        0.0 if rule.is_adaptive else rule.fixed_m, per_metre, sigmas * noise.range_m, sigmas * noise.share
     )
-    scan = beams.ranges, beams.bearings, beams.hit, beams.count
-    roll, (first, last, kind) = find_clusters(scan, rule, segments.record, sensor.record)
-    return Clusters(roll, first, last, kind)
-
-
-def beams_on_walls(clusters: Clusters, beams: MergedScan) -> Bools:
-    """(B,) which beams are on clusters with lines, and may cross a polygon. Pillars and people are not walls."""
-    return wall_beams(clusters.roll, clusters.first, clusters.last, clusters.kind, len(beams.ranges))
-
-
-@compiled
-def find_clusters(
-    beams: tuple[Array, Array, Bools, Ints],
-    rule: tuple[float, float, float],
-    segments: Rows,
-    sensor: Rows,
-) -> tuple[int, Ints]:
-    """The beam at position 0, and first position, last position and kind (3,C) of the clusters.
-
-    `beams` are ranges, bearings, hit and count; `rule` is the fixed part of the threshold (m), the cosine of the
-    grazing angle (0: no part grows with the range), and the number of standard deviations of noise.
-    """
-    ranges, bearings, hit, _ = beams
-    size, (fixed, cosine, sigmas) = ranges.shape[0], rule
-    step = (bearings[size - 1] - bearings[0]) / max(size - 1, 1)
-    per_metre = 2.0 * math.sin(step / 2.0) / cosine if cosine > 0.0 else 0.0  # d / cos 85, d = 2 r sin(t/2)
-    noise = laser_noise(sensor)
-    joined = join_beams(beams, step, Threshold(fixed, per_metre, sigmas * noise.range_m, sigmas * noise.share))
-    roll = -1
+    joined, roll = join_beams(beams, step, threshold), -1
     for i in range(size):
         if not joined[i]:
             roll = (i + 1) % size  # the first beam after a gap
             break
     if roll < 0:  # the beams close a ring: the farthest is a corner
-        roll = int(np.argmax(ranges))
-    return roll, collect_runs(ranges, bearings, hit, joined, roll, segments[0])
+        roll = int(np.argmax(beams.ranges))
+    columns = collect_runs(beams, joined, roll, segments[0])
+    return BeamRuns(roll, columns[0], columns[1], columns[2])
 
 
 @compiled
-def join_beams(beams: tuple[Array, Array, Bools, Ints], step: float, threshold: Threshold) -> Bools:
+def join_beams(beams: Beams, step: float, threshold: Threshold) -> Bools:
     """(B,) True where the beam and the next one (the first one after the last) may lie on one line."""
-    ranges, bearings, hit, count = beams
+    ranges, bearings, hit, count = beams.ranges, beams.bearings, beams.hit, beams.counts
     size, widest = ranges.shape[0], 2.0 * step  # farther apart, a beam between them is missing
     joined = np.empty(size, np.bool_)
     for i in range(size - 1):  # without branches: several beams at once
@@ -105,9 +76,9 @@ def may_join(ranges: tuple[float, float], turn: float, count: tuple[int, int], t
 
 
 @compiled
-def collect_runs(ranges: Array, bearings: Array, hit: Bools, joined: Bools, roll: int, limits: Record) -> Ints:
+def collect_runs(beams: Beams, joined: Bools, roll: int, limits: Record) -> Ints:
     """First and last positions and kinds (3,C) of the runs of joined hits, counted from beam `roll`."""
-    size = ranges.shape[0]
+    ranges, bearings, hit, size = beams.ranges, beams.bearings, beams.hit, beams.ranges.shape[0]
     runs, found, start, first = np.empty((size, 3), np.int64), 0, 0, roll
     nearest, farthest = math.inf, 0.0
     for position in range(size):
@@ -125,17 +96,17 @@ def collect_runs(ranges: Array, bearings: Array, hit: Bools, joined: Bools, roll
             found += 1
         start, first = position + 1, beam + 1 if beam + 1 < size else 0
         nearest, farthest = math.inf, 0.0
-    return runs[:found].T.copy()
+    return np.ascontiguousarray(runs[:found].T)
 
 
 @compiled
-def wall_beams(roll: int, first: Ints, last: Ints, kind: Ints, beams: int) -> Bools:
-    """(B,) which beams belong to a run (first and last position from `roll`) of lines."""
+def beams_on_walls(runs: BeamRuns, beams: int) -> Bools:
+    """(B,) which of the beams are on runs with lines, and may cross a polygon. Pillars and people are not walls."""
     mask = np.zeros(beams, np.bool_)
-    for run in range(first.shape[0]):
-        if kind[run] != ClusterKind.LINES:
+    for run in range(runs.first.shape[0]):
+        if runs.kind[run] != ClusterKind.LINES:
             continue
-        for position in range(first[run], last[run] + 1):
-            beam = position + roll
+        for position in range(runs.first[run], runs.last[run] + 1):
+            beam = position + runs.roll
             mask[beam if beam < beams else beam - beams] = True
     return mask

@@ -3,65 +3,59 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints, Record, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, wrap_angle
-from mecp_env.slam.config import CornerConfig, SensorModel
-from mecp_env.slam.frontend.beams import Lines, Records, RolledScan, laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import (
+    Beams,
+    Lines,
+    Noise,
+    Pieces,
+    Records,
+    RolledScan,
+    laser_noise,
+    roll_beams,
+    step_of,
+)
 from mecp_env.slam.frontend.door_gaps import find_doorways, mark_beyond
 from mecp_env.slam.frontend.line_corners import FOUND, add_end, add_intersection, empty_corners, spread_of
-from mecp_env.slam.messages import CornerKind, Corners, Doorways, MergedScan, Segments
+from mecp_env.slam.messages import CornerKind
 
 
-def extract_corners(beams: MergedScan, segments: Segments, config: CornerConfig, sensor: SensorModel) -> Corners:
+class Found(NamedTuple):
+    """The fields of `Corners`, and of its `Doorways`, in their order."""
+
+    z: Array  # (n,2) m, rad
+    cov: Array  # (2n,2n)
+    kind: Ints  # (n,)
+    convex: Bools  # (n,)
+    normals: Array  # (n,2) rad
+    beyond: Ints  # (n,)
+    sites: Bools  # (n,)
+    jambs: Ints  # (g,2)
+    width: Array  # (g,) m
+    confirmable: Bools  # (g,)
+
+
+@compiled
+def extract_corners(beams: Beams, pieces: Pieces, config: Rows, gap_config: Rows, sensor: Rows) -> Found:
     """The corners of a scan in order of bearing, with joint covariance, descriptor and the doorways among them.
 
     A corner is the intersection of two consecutive segments, or the end of one that is followed by something farther
     (III-A.1). Differs from the paper: its constant sigmas are replaced by the covariance of the lines, shared by the
     corners of one wall, and the two ends facing each other across a gap of door width are marked as jambs.
     """
-    (z, kind, convex, normals), cov, beyond, sites, doorways = find_corners(
-        (beams.ranges, beams.bearings, beams.count, beams.hit, beams.raw_ranges, beams.raw_bearings),
-        (segments.points, segments.line, segments.cov, segments.cluster, segments.first, segments.last),
-        segments.roll,
-        beams.max_range_m,
-        config.record,
-        config.gaps.record,
-        sensor.record,
-    )
-    if config.covariance == "sensor":  # IV: sigma_r and sigma_theta of the laser, for every corner alike
-        noise = laser_noise(sensor.record)
-        sigma_m = np.maximum(noise.range_m, noise.share * z[:, 0])
-        cov = np.diag(np.stack([sigma_m**2, np.full(len(z), noise.bearing**2)], axis=1).ravel())
-    return Corners(z, cov, kind, convex, normals, beyond, sites, Doorways(*doorways))
-
-
-@compiled
-def find_corners(
-    beams: tuple[Array, Array, Ints, Bools, Array, Array],
-    segments: tuple[Array, Array, Array, Ints, Ints, Ints],
-    roll: int,
-    max_range: float,
-    config: Rows,
-    gap_config: Rows,
-    sensor: Rows,
-) -> tuple[tuple[Array, Ints, Bools, Array], Array, Ints, Bools, tuple[Ints, Array, Bools]]:
-    """z, kind, convex and normals of `Corners`, then its cov, beyond and sites, and the fields of `Doorways`.
-
-    `beams` are range, bearing, count, hit, raw range and raw bearing; `segments` the fields of `Segments` up to `last`,
-    `max_range` (m) is that of the laser.
-    """
-    limits, noise, (points, line, line_cov, cluster, first, last) = config[0], laser_noise(sensor), segments
+    limits, noise, (points, line, line_cov, cluster, first, last, roll) = config[0], laser_noise(sensor), pieces
     length = np.empty(line.shape[0])
     for k in range(line.shape[0]):
         length[k] = math.hypot(points[k, 1, 0] - points[k, 0, 0], points[k, 1, 1] - points[k, 0, 1])
     lines = Lines(line, line_cov, cluster, first, last, length)
-    polar, hit = roll_beams(beams[0], beams[1], beams[2], roll), np.roll(beams[3], -roll)
-    step = (beams[1][-1] - beams[1][0]) / max(beams[1].shape[0] - 1, 1)
-    scan = RolledScan(polar, hit, beams[4], beams[5], roll, step, max_range)
+    polar, hit = roll_beams(beams, roll), np.roll(beams.hit, -roll)
+    scan = RolledScan(polar, hit, beams.raw_ranges, beams.raw_bearings, roll, step_of(beams.bearings), beams.max_range)
     count, size, width = 0, line.shape[0], scan.polar.shape[1]
     ends = empty_corners(2 * size + 2)  # the corners at each end of each segment, of which several may be one corner
     for k in range(size):
@@ -75,16 +69,27 @@ def find_corners(
     found = one_each(ends[:count], line_cov, limits)
     z, n = found["z"].copy(), found.shape[0]
     p_robot = polar_to_points(z)
-    doorways = find_doorways(found, p_robot, scan, lines, limits, gap_config[0], noise)
-    beyond = mark_beyond(found, p_robot, doorways[0], limits.line_m)
-    for jamb in doorways[0].ravel():
+    jambs, gap_width, confirmable = find_doorways(found, p_robot, scan, lines, limits, gap_config[0], noise)
+    beyond = mark_beyond(found, p_robot, jambs, limits.line_m)
+    for jamb in jambs.ravel():
         if found[jamb].convex:  # a concave one is the corner of a room
             found[jamb].kind = CornerKind.JAMB
     sites = np.empty(n, np.bool_)
     for k in range(n):
         sites[k] = found[k].kind != CornerKind.JAMB and beyond[k] < 0
-    rows = z, found["kind"].copy(), found["convex"].copy(), found["normals"].copy()
-    return rows, joint_covariance(found, line_cov), beyond, sites, doorways
+    cov = sensor_covariance(z, noise) if limits.is_constant else joint_covariance(found, line_cov)
+    rows = found["kind"].copy(), found["convex"].copy(), found["normals"].copy()
+    return Found(z, cov, rows[0], rows[1], rows[2], beyond, sites, jambs, gap_width, confirmable)
+
+
+@compiled
+def sensor_covariance(z: Array, noise: Noise) -> Array:
+    """(2n,2n) sigma_r and sigma_theta of the laser, for every corner z (n,2) alike (IV)."""
+    cov = np.zeros((z.size, z.size))
+    for k in range(z.shape[0]):
+        cov[2 * k, 2 * k] = max(noise.range_m, noise.share * z[k, 0]) ** 2
+        cov[2 * k + 1, 2 * k + 1] = noise.bearing**2
+    return cov
 
 
 @compiled

@@ -166,7 +166,7 @@ def add_end(
             ahead = scan.polar[0, q] * math.cos(scan.polar[1, q] - end.alpha) - end.rho
             if ahead < -noise.outlier * noise.range_m:
                 return False
-    ray = counted_end(scan, end, jump, limits, noise) if plain else weighted_end(scan, end, limits, noise)
+    ray = counted_end(scan, end, noise) if plain else weighted_end(scan, end, limits, noise)
     seen = limits.short_faces and ray.evidence > noise.face_gain
     if not (seen or plain or (end.free and recedes)):
         return False
@@ -245,15 +245,22 @@ def write_end(found: Record, segment: int, line: tuple[float, float], ray: EndBe
 
 
 @compiled
-def counted_end(scan: RolledScan, end: LineEnd, jump: float, limits: Record, noise: Noise) -> EndBearing:
+def counted_end(scan: RolledScan, end: LineEnd, noise: Noise) -> EndBearing:
     """Bearing of a plain end from the number of raw beams on the line around the transition.
 
     Bearing noise makes beams beside the edge hit or miss at random; the count stays unbiased, its variance is the
     smear plus the square of half the spacing: the end is within that of the count, but where it is repeats from scan to
-    scan while the robot moves less than a beam, so that the mean square, a third of it, is too little.
+    scan while the robot moves less than a beam, so that the mean square, a third of it, is too little. A beam is on the
+    line unless it is nearer to what is seen behind: a closer bound would miss beams of a wall seen at a grazing angle,
+    whose ranges scatter by decimetres, and put its end too near.
     """
     total, size = scan.raw_ranges.shape[0], scan.polar.shape[1]
-    sweeps = total // size
+    sweeps, gap = total // size, scan.max_range
+    for k in range(end.rest + 1, end.rest + noise.edge + 1):
+        q = (end.position + end.side * k) % size
+        cosine = math.cos(scan.polar[1, q] - end.alpha)
+        if cosine >= noise.least_cosine:
+            gap = min(gap, scan.polar[0, q] - end.rho / cosine)
     spacing = (scan.raw_bearings[total - 1] - scan.raw_bearings[0]) / (total - 1)
     beam = (end.position - end.side * noise.edge + scan.roll) % size
     first = beam * sweeps if end.side > 0 else beam * sweeps + sweeps - 1
@@ -264,7 +271,7 @@ def counted_end(scan: RolledScan, end: LineEnd, jump: float, limits: Record, noi
         if cosine < noise.least_cosine:
             continue
         slant = end.rho * math.sqrt(1.0 - min(cosine * cosine, 1.0)) / (cosine * cosine)
-        allowed = min(noise.outlier * math.hypot(noise.range_m, slant * noise.bearing), 0.5 * jump)
+        allowed = min(noise.outlier * math.hypot(noise.range_m, slant * noise.bearing), 0.5 * gap)
         on_line += abs(scan.raw_ranges[raw] - end.rho / cosine) < allowed
     bearing = scan.raw_bearings[first] + end.side * (on_line - 0.5) * spacing
     return EndBearing(bearing, SMEAR * spacing * noise.bearing + spacing * spacing / 4.0, 0.0)

@@ -6,120 +6,28 @@ Beams that a real laser loses on dark or glancing walls: nothing returns, and ye
 from __future__ import annotations
 
 import math
-from dataclasses import replace
-from typing import Literal
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
-from mecp_env.core.sensors import Scan
-from mecp_env.slam.config import SensorModel
-from mecp_env.slam.frontend.beams import laser_noise
-from mecp_env.slam.messages import MergedScan, Segments
+from mecp_env.slam.frontend.beams import Beams, Pieces, laser_noise, step_of
 
-
-def restore_lost_beams(beams: MergedScan, sensor: SensorModel) -> MergedScan:
-    """`beams` with those that a dark wall has swallowed, at the range of a straight wall between their neighbours.
-
-    A run of them is short, and its neighbours are on one surface (`merge_slope`); a longer run may be an opening. For
-    a laser that loses no beams nothing changes.
-    """
-    longest = longest_run(sensor)
-    if longest == 0 or beams.hit.all() or not beams.hit.any():
-        return beams
-    hits, bearings, ranges = _ring_of_hits(beams)
-    missing, near = np.diff(hits) - 1, np.minimum(ranges[:-1], ranges[1:])
-    sigma_m = np.maximum(sensor.range_sigma_m, sensor.range_sigma_share * near)
-    allowed = sensor.merge_slope * np.diff(bearings) * near + math.sqrt(2.0) * sensor.noise_sigmas * sigma_m
-    alike = (missing > 0) & (missing <= longest) & (np.abs(np.diff(ranges)) <= allowed)
-    lost = [beam for k in np.flatnonzero(alike) for beam in range(hits[k] + 1, hits[k + 1])]
-    return _restored(beams, np.array(lost, np.int64), bearings, ranges)
-
-
-def longest_run(sensor: SensorModel) -> int:
-    """As many beams in a row are lost on a dark wall by chance; more are not (`noise_sigmas`)."""
-    if sensor.dark_dropout == 0.0:
-        return 0
-    return math.ceil(math.log(math.erfc(sensor.noise_sigmas / math.sqrt(2.0))) / math.log(sensor.dark_dropout))
-
-
-def _ring_of_hits(beams: MergedScan) -> tuple[Ints, Array, Array]:
-    """Beam, bearing (rad, rising) and range (m) of all hits; without a blind side the first one again at the end."""
-    size, hits = len(beams.ranges), np.flatnonzero(beams.hit)
-    if not beams.blind:
-        hits = np.append(hits, hits[0] + size)
-    return hits, _bearings(beams, hits), beams.ranges[hits % size]
-
-
-def _bearings(beams: MergedScan, ring: Ints) -> Array:
-    size = len(beams.ranges)
-    bearings: Array = beams.bearings[ring % size] + 2.0 * math.pi * (ring // size)
-    return bearings
-
-
-def _restored(beams: MergedScan, lost: Ints, bearings: Array, ranges: Array) -> MergedScan:
-    """`beams` with a range for those that were lost; along a straight wall 1 / range is nearly linear."""
-    closeness = np.interp(_bearings(beams, lost), bearings, 1.0 / np.maximum(ranges, np.finfo(np.float32).eps))
-    filled, hit, at = beams.ranges.copy(), beams.hit.copy(), lost % len(beams.ranges)
-    filled[at], hit[at] = 1.0 / closeness, True
-    raw = filled if len(beams.raw_ranges) == len(filled) else beams.raw_ranges  # of one sweep they are the same beams
-    return replace(beams, ranges=filled, hit=hit, raw_ranges=raw)
-
-
-def stop_at_walls(beams: MergedScan, segments: Segments, sensor: SensorModel) -> MergedScan:
-    """`beams` of which those without return end on the line of a wall that they would meet too slantingly to return.
-
-    The wall may go on there unseen, so that the floor behind is not known to be free. Without an incidence beyond which
-    beams are lost nothing changes.
-    """
-    if sensor.grazing_deg >= 90.0 or not len(segments.line):
-        return beams
-    silent = np.flatnonzero(~beams.hit)
-    if not len(silent):
-        return beams
-    (alpha, rho), doubt = segments.line.T[:, :, None], np.sqrt(segments.cov[:, 0, 0])[:, None]
-    cosine = np.cos(beams.bearings[silent] - alpha)  # of the incidence on each line
-    steepest = math.radians(sensor.grazing_deg) - sensor.noise_sigmas * doubt - sensor.edge_beams * beams.step
-    with np.errstate(divide="ignore"):
-        reach = np.where((cosine > 0.0) & (cosine < np.cos(steepest)), rho / cosine, math.inf).min(axis=0)
-    ranges = beams.ranges.copy()
-    ranges[silent] = np.minimum(ranges[silent], reach)
-    return replace(beams, ranges=ranges)
-
-
-def merge_sweeps(scan: Scan, sensor: SensorModel, sweeps: Literal["mean", "union"] = "mean") -> MergedScan:
-    """The B beams of `scan`, each averaged over the K raw beams around one nominal bearing, or the "union" of all K B.
-
-    Where the K ranges belong to two surfaces, only the larger group counts (the nearer one of equal groups). Bearings
-    are the means of the beams used. Differs from the paper: III-A.1 clusters the union of all sweeps; the average keeps
-    the angular step of one sweep, which the adaptive threshold needs, and divides the noise by sqrt(K).
-    """
-    if sweeps == "union":
-        return unite_sweeps(scan)
-    ranges, bearings, hit, count, raw_ranges, raw_bearings = average_sweeps(
-        scan.ranges, scan.bearings, scan.hit, scan.max_range_m, sensor.record
-    )
-    return MergedScan(ranges, bearings, hit, count, scan.max_range_m, raw_ranges, raw_bearings)
-
-
-def unite_sweeps(scan: Scan) -> MergedScan:
-    """All K B raw beams of `scan` in order of bearing (III-A.1: the dense scan)."""
-    order = np.argsort(scan.bearings, axis=None, kind="stable")
-    ranges, bearings = np.ravel(scan.ranges)[order].astype(float), np.ravel(scan.bearings)[order].astype(float)
-    hit, count = np.ravel(scan.hit)[order].astype(bool), np.ones(len(order), np.int64)
-    return MergedScan(ranges, bearings, hit, count, scan.max_range_m, ranges, bearings)
+TINY_M = float(np.finfo(np.float32).eps)
 
 
 @compiled
-def average_sweeps(
-    ranges: Array, bearings: Array, hit: Bools, max_range: float, sensor: Rows
-) -> tuple[Array, Array, Bools, Ints, Array, Array]:
-    """The fields of `MergedScan` but for the largest range, from sweeps (K,B)."""
+def merge_sweeps(ranges: Array, bearings: Array, hit: Bools, max_range: float, clustering: Rows, sensor: Rows) -> Beams:
+    """The B beams of sweeps (K,B), each averaged over the K raw beams around one nominal bearing; or all K B beams.
+
+    Where the K ranges belong to two surfaces, only the larger group counts (the nearer one of equal groups). Bearings
+    are the means of the beams used. Differs from the paper: III-A.1 clusters the union of all sweeps (`is_union`); the
+    average keeps the angular step of one sweep, which the adaptive threshold needs, and divides the noise by sqrt(K).
+    """
     sweeps, size = ranges.shape
     if sweeps == 1:
         alone, turns = ranges[0].copy(), bearings[0].copy()
-        return alone, turns, hit[0].copy(), np.ones(size, np.int64), alone, turns
+        return Beams(alone, turns, hit[0].copy(), np.ones(size, np.int64), max_range, alone, turns)
     raw_ranges, raw_bearings, falls = np.empty(sweeps * size), np.empty(sweeps * size), 0
     for beam in range(size):
         for sweep in range(sweeps):
@@ -132,12 +40,75 @@ def average_sweeps(
             falls += there[beam + later] < here[beam]
     if falls > 0:
         ranges, bearings, hit = sort_beams(raw_ranges, raw_bearings, hit)
-    step = (raw_bearings[-1] - raw_bearings[0]) / max(raw_bearings.shape[0] - 1, 1)
+    if clustering[0].is_union:
+        each, raw_hit = np.ones(sweeps * size, np.int64), np.ascontiguousarray(hit.T).reshape(-1)
+        return Beams(raw_ranges, raw_bearings, raw_hit, each, max_range, raw_ranges, raw_bearings)
     noise = laser_noise(sensor)
-    slope = sensor[0].merge_slope * (step + noise.bearing) + noise.gate * noise.share
+    slope = sensor[0].merge_slope * (step_of(raw_bearings) + noise.bearing) + noise.gate * noise.share
     split = noise.gate * noise.range_m, slope
     mean_ranges, mean_bearings, any_hit, count = average_beams(ranges, bearings, hit, max_range, split)
-    return mean_ranges, mean_bearings, any_hit, count, raw_ranges, raw_bearings
+    return Beams(mean_ranges, mean_bearings, any_hit, count, max_range, raw_ranges, raw_bearings)
+
+
+@compiled
+def restore_lost_beams(beams: Beams, sensor: Rows) -> Beams:
+    """`beams` with those that a dark wall has swallowed, at the range of a straight wall between their neighbours.
+
+    A run of them is short, and its neighbours are on one surface (`merge_slope`); a longer run may be an opening. For
+    a laser that loses no beams nothing changes.
+    """
+    model, hits, size = sensor[0], np.flatnonzero(beams.hit), beams.ranges.shape[0]
+    longest = longest_run(sensor)
+    if longest == 0 or hits.shape[0] == 0 or hits.shape[0] == size:
+        return beams
+    ranges, hit = beams.ranges.copy(), beams.hit.copy()
+    around = beams.bearings[0] + 2.0 * math.pi - beams.bearings[-1] <= 2.0 * step_of(beams.bearings)
+    for k in range(hits.shape[0] if around else hits.shape[0] - 1):  # without a blind side the beams close a ring
+        a, b = hits[k], hits[k + 1] if k + 1 < hits.shape[0] else hits[0] + size
+        missing, near = b - a - 1, min(beams.ranges[a], beams.ranges[b % size])
+        if not 0 < missing <= longest:
+            continue
+        start, turn = beams.bearings[a], beams.bearings[b % size] + 2.0 * math.pi * (b // size) - beams.bearings[a]
+        sigma_m = max(model.range_sigma_m, model.range_sigma_share * near)
+        allowed = model.merge_slope * turn * near + math.sqrt(2.0) * model.noise_sigmas * sigma_m
+        if abs(beams.ranges[b % size] - beams.ranges[a]) > allowed:
+            continue
+        closeness = 1.0 / max(beams.ranges[a], TINY_M)  # along a straight wall 1 / range is nearly linear
+        slope = (1.0 / max(beams.ranges[b % size], TINY_M) - closeness) / turn
+        for beam in range(a + 1, b):
+            bearing = beams.bearings[beam % size] + 2.0 * math.pi * (beam // size)
+            ranges[beam % size], hit[beam % size] = 1.0 / (slope * (bearing - start) + closeness), True
+    raw = ranges if beams.raw_ranges.shape[0] == size else beams.raw_ranges  # of one sweep they are the same beams
+    return Beams(ranges, beams.bearings, hit, beams.counts, beams.max_range, raw, beams.raw_bearings)
+
+
+@compiled
+def longest_run(sensor: Rows) -> int:
+    """As many beams in a row are lost on a dark wall by chance; more are not (`noise_sigmas`)."""
+    if sensor[0].dark_dropout == 0.0:
+        return 0
+    return math.ceil(math.log(math.erfc(sensor[0].noise_sigmas / math.sqrt(2.0))) / math.log(sensor[0].dark_dropout))
+
+
+@compiled
+def stop_at_walls(beams: Beams, pieces: Pieces, sensor: Rows) -> Beams:
+    """`beams` of which those without return end on the line of a wall that they would meet too slantingly to return.
+
+    The wall may go on there unseen, so that the floor behind is not known to be free. Without an incidence beyond which
+    beams are lost nothing changes.
+    """
+    model, line = sensor[0], pieces.line
+    if model.grazing_deg >= 90.0 or beams.hit.all():
+        return beams
+    ranges, edge = beams.ranges.copy(), model.edge_beams * step_of(beams.bearings)
+    for k in range(line.shape[0]):
+        doubt = model.noise_sigmas * math.sqrt(pieces.cov[k, 0, 0])
+        least = math.cos(model.grazing_rad - doubt - edge)
+        for beam in range(ranges.shape[0]):
+            cosine = math.cos(beams.bearings[beam] - line[k, 0])  # of the incidence on the line
+            if not beams.hit[beam] and 0.0 < cosine < least:
+                ranges[beam] = min(ranges[beam], line[k, 1] / cosine)
+    return Beams(ranges, beams.bearings, beams.hit, beams.counts, beams.max_range, beams.raw_ranges, beams.raw_bearings)
 
 
 @compiled

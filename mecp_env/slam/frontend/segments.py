@@ -13,8 +13,7 @@ from mecp_env.core.carriers import Array, Ints, Record, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import solve3
 from mecp_env.core.se2 import wrap_angle
-from mecp_env.slam.config import SegmentConfig, SensorModel
-from mecp_env.slam.frontend.beams import Noise, laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import BeamRuns, Beams, Noise, Pieces, laser_noise, roll_beams
 from mecp_env.slam.frontend.lines import (
     FEWEST,
     absorb_slivers,
@@ -26,7 +25,7 @@ from mecp_env.slam.frontend.lines import (
     split_cluster,
     without_end_face,
 )
-from mecp_env.slam.messages import ClusterKind, Clusters, MergedScan, Segments
+from mecp_env.slam.messages import ClusterKind
 
 ITERATIONS = 5
 
@@ -87,38 +86,17 @@ def circle_cost(points: Array, first: int, last: int, largest: float, outlier: f
     return cost if math.hypot(x, y) > math.hypot(mx, my) - 0.5 * radius else math.inf
 
 
-def extract_segments(beams: MergedScan, clusters: Clusters, config: SegmentConfig, sensor: SensorModel) -> Segments:
+@compiled
+def extract_segments(beams: Beams, runs: BeamRuns, segments: Rows, sensor: Rows) -> Pieces:
     """The straight segments of the LINES clusters, in order of bearing, each with its line and covariance.
 
     Differs from the paper: Ramer-Douglas-Peucker alone keeps breaks that are noise and puts the others a few beams off;
     breaks are moved to where two lines fit best and dropped when they do not pay, by chi-square. With `merge_gain` and
     `shift_beams` 0, breaks stay as they are.
     """
-    points, line, cov, (cluster, first, last) = find_segments(
-        (beams.ranges, beams.bearings, beams.count),
-        (clusters.first, clusters.last, clusters.kind),
-        clusters.roll,
-        config.record,
-        sensor.record,
-    )
-    return Segments(points, line, cov, cluster, first, last, clusters.roll)
-
-
-@compiled
-def find_segments(
-    beams: tuple[Array, Array, Ints],
-    clusters: tuple[Ints, Ints, Ints],
-    roll: int,
-    config: Rows,
-    sensor: Rows,
-) -> tuple[Array, Array, Array, Ints]:
-    """End points (L,2,2), lines (L,2), covariances (L,2,2) and cluster, first, last (3,L) of all segments.
-
-    `beams` are ranges, bearings and count; `clusters` first, last and kind.
-    """
-    limits, noise, polar = config[0], laser_noise(sensor), roll_beams(beams[0], beams[1], beams[2], roll)
+    limits, noise, polar = segments[0], laser_noise(sensor), roll_beams(beams, runs.roll)
     points, sums = beam_points(polar, noise)
-    spans = cut_clusters(points, sums, clusters, limits, noise)
+    spans = cut_clusters(points, sums, runs, limits, noise)
     size, found, terms = spans.shape[0], 0, np.empty((3, polar.shape[1]))
     ends, line, cov = np.empty((size, 2, 2)), np.empty((size, 2)), np.empty((size, 2, 2))
     for k in range(size):
@@ -129,13 +107,14 @@ def find_segments(
         if write_segment(rows, polar[1], span, trim, cost, fit, limits, noise):
             spans[found, 0], spans[found, 1], spans[found, 2] = spans[k, 0], span[0], span[1]
             found += 1
-    return ends[:found], line[:found], cov[:found], spans[:found].T.copy()
+    columns = np.ascontiguousarray(spans[:found].T)
+    return Pieces(ends[:found], line[:found], cov[:found], columns[0], columns[1], columns[2], runs.roll)
 
 
 @compiled
-def cut_clusters(points: Array, sums: Array, clusters: tuple[Ints, Ints, Ints], limits: Record, noise: Noise) -> Ints:
+def cut_clusters(points: Array, sums: Array, runs: BeamRuns, limits: Record, noise: Noise) -> Ints:
     """Cluster, first and last position (S,3) of the lines of `min_beams` beams or more in all LINES clusters."""
-    first, last, kind = clusters
+    first, last, kind = runs.first, runs.last, runs.kind
     spans, breaks, found = np.empty((points.shape[1], 3), np.int64), np.empty(points.shape[1] + 2, np.int64), 0
     for c in range(first.shape[0]):
         if kind[c] != ClusterKind.LINES:

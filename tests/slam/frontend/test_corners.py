@@ -127,6 +127,22 @@ def thick(x, y, thickness, other):
     return chain((x, other), (x, y), (x + thickness, y), (x + thickness, other))
 
 
+@pytest.mark.parametrize(("beside", "end"), [(0.4, 3.0), (0.8, 4.0), (1.5, 6.0), (2.5, 8.0)])
+def test_the_end_of_a_wall_at_a_grazing_angle_is_not_taken_for_nearer(beside, end):
+    """The ranges there scatter by decimetres: a beam that is far off the line is on the wall all the same."""
+    errors = []
+    for seed in range(60):
+        faces = turned(np.concatenate([chain((end, beside), (-3.0, beside)), FAR_ROOM]), seed)
+        corners, points = corners_of(faces, PAPER, seed)
+        far = np.hypot(*(points - turned(np.array([[end, beside]]), seed)).T)
+        if far.min(initial=math.inf) < 0.6:
+            r, variances = corners.z[far.argmin(), 0], np.diagonal(corners.R[far.argmin()])
+            away = math.hypot(*points[far.argmin()]) - math.hypot(end, beside)
+            errors.append(away / math.hypot(math.sqrt(variances[0]), r * math.sqrt(variances[1])))
+    assert len(errors) > 45
+    assert abs(np.mean(errors)) < 3.0 / math.sqrt(len(errors))
+
+
 @pytest.mark.parametrize(
     ("faces", "point", "least", "off_m"),
     [

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import SegmentConfig, SensorModel, SlamConfig
-from mecp_env.slam.frontend.beams import laser_noise, roll_beams
+from mecp_env.slam.frontend.beams import Beams, laser_noise, roll_beams
 from mecp_env.slam.frontend.lines import beam_points, line_cost, split_cluster, without_end_face
 from tests.slam.scans import GROWING, LMS200, PAPER, ROOM, cast, chain, front_end, ring, take_scan
 
@@ -134,7 +134,7 @@ def test_the_papers_segments_are_those_of_ramer_douglas_peucker_alone():
     plain = SlamConfig(segments=paper.segments)
     for seed in range(5):
         beams, clusters, segments, _ = front_end(take_scan(ROOM, seed=seed), PAPER, plain)
-        polar = roll_beams(beams.ranges, beams.bearings, beams.count, clusters.roll)
+        polar = roll_beams(Beams.of(beams), clusters.roll)
         points, _ = beam_points(polar, laser_noise(PAPER.record))
         breaks, expected = np.empty(points.shape[1] + 2, np.int64), set()
         for first, last in zip(clusters.first, clusters.last, strict=True):

@@ -6,11 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from mecp_env.slam.config import SensorModel
-from mecp_env.slam.frontend.scan import longest_run, merge_sweeps, restore_lost_beams, stop_at_walls
+from mecp_env.slam.config import ClusteringConfig, SensorModel
+from mecp_env.slam.frontend.scan import longest_run
 from tests.slam import make
+from tests.slam.frontend.make import PAPER, front_end, merged, restored, stopped
 from tests.slam.make import MAX_RANGE_M, nominal_bearings
-from tests.slam.scans import LMS200, PAPER, ROOM, cast, chain, front_end, take_scan
+from tests.slam.scans import LMS200, ROOM, cast, chain, take_scan
 
 DARK = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, dark_dropout=0.2)
 SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80.0)
@@ -18,17 +19,15 @@ SLANTING = SensorModel(range_sigma_m=0.01, bearing_sigma_deg=0.0, grazing_deg=80
 
 def test_sweeps_that_do_not_interleave_in_order_are_sorted():
     scan = take_scan(ROOM)
-    beams = merge_sweeps(make.scan(scan.ranges[[2, 0, 3, 1]], scan.bearings[[2, 0, 3, 1]]), PAPER)
-    np.testing.assert_array_equal(beams.ranges, merge_sweeps(scan, PAPER).ranges)
+    beams = merged(make.scan(scan.ranges[[2, 0, 3, 1]], scan.bearings[[2, 0, 3, 1]]), PAPER)
+    np.testing.assert_array_equal(beams.ranges, merged(scan, PAPER).ranges)
     assert (np.diff(beams.raw_bearings) > 0).all()
     np.testing.assert_array_equal(np.sort(beams.raw_ranges), np.sort(scan.ranges.ravel()))
 
 
 def test_the_average_has_a_quarter_of_the_variance():
     wall = chain((2.0, -4.0), (2.0, 4.0))
-    square = [
-        np.square(merge_sweeps(take_scan(wall, seed=seed), PAPER).ranges[358:362] - 2.0).mean() for seed in range(150)
-    ]
+    square = [np.square(merged(take_scan(wall, seed=seed), PAPER).ranges[358:362] - 2.0).mean() for seed in range(150)]
     assert np.mean(square) == pytest.approx(0.05**2 / 4, rel=0.15)
 
 
@@ -36,7 +35,7 @@ def test_rays_that_hit_nothing_stand_apart_from_hits():
     scan = take_scan(ROOM)
     hit = scan.hit.copy()
     hit[:3, 10], hit[:2, 20], hit[:, 30] = False, False, False
-    beams = merge_sweeps(make.scan(scan.ranges, hit=hit), PAPER)
+    beams = merged(make.scan(scan.ranges, hit=hit), PAPER)
     assert [bool(beams.hit[i]) for i in (10, 20, 30)] == [False, True, False]
     assert [int(beams.count[i]) for i in (10, 20, 30)] == [3, 2, 4]
     assert beams.ranges[30] == MAX_RANGE_M
@@ -47,7 +46,7 @@ def plain_merge(scan, sensor):
     sweeps, size = scan.ranges.shape
     ranges, bearings = scan.ranges.T.reshape(size, sweeps), scan.bearings.T.reshape(size, sweeps)
     slope = sensor.merge_slope * (np.ptp(bearings) / (size * sweeps - 1) + sensor.bearing_sigma_rad)
-    merged = []
+    kept = []
     for beam in range(size):
         order = np.argsort(ranges[beam], kind="stable")
         r, b = ranges[beam, order], bearings[beam, order]
@@ -57,8 +56,8 @@ def plain_merge(scan, sensor):
             keep = slice(0, k) if k >= len(r) - k else slice(k, None)
             r, b = r[keep], b[keep]
             excess = np.diff(r) - slope * r[:-1] - sensor.noise_sigmas * sensor.range_sigma_m
-        merged.append((r.mean(), b.mean(), len(r)))
-    return np.array(merged).T
+        kept.append((r.mean(), b.mean(), len(r)))
+    return np.array(kept).T
 
 
 def test_a_plain_twin_agrees_on_cluttered_scans():
@@ -67,7 +66,7 @@ def test_a_plain_twin_agrees_on_cluttered_scans():
         posts = [chain(p, p + rng.normal(0.0, 0.3, 2)) for p in rng.uniform(-4.0, 4.0, (30, 2))]
         far = 8.0 * np.array([(math.cos(a), math.sin(a)) for a in np.linspace(0.0, 2.0 * math.pi, 40)])
         scan = take_scan(np.concatenate([*posts, chain(*far)]), seed=seed)
-        beams = merge_sweeps(scan, PAPER)
+        beams = merged(scan, PAPER)
         ranges, bearings, count = plain_merge(scan, PAPER)
         np.testing.assert_allclose(beams.ranges, ranges)
         np.testing.assert_allclose(beams.bearings, bearings)
@@ -76,16 +75,14 @@ def test_a_plain_twin_agrees_on_cluttered_scans():
 
 def test_the_union_of_the_sweeps_is_every_beam():
     scan = take_scan(ROOM)
-    beams = merge_sweeps(scan, PAPER, "union")
+    beams = merged(scan, PAPER, ClusteringConfig(sweeps="union"))
     assert (np.diff(beams.bearings) > 0).all()
     assert (beams.count == 1).all()
     order = np.argsort(scan.bearings.ravel())
     np.testing.assert_array_equal(beams.ranges, scan.ranges.ravel()[order])
     np.testing.assert_array_equal(beams.hit, scan.hit.ravel()[order])
-    assert beams.step == pytest.approx(merge_sweeps(scan, PAPER).step / 4, rel=1e-3)
-    np.testing.assert_array_equal(
-        merge_sweeps(take_scan(ROOM, sweeps=1), PAPER).ranges, take_scan(ROOM, sweeps=1).ranges[0]
-    )
+    assert beams.step == pytest.approx(merged(scan, PAPER).step / 4, rel=1e-3)
+    np.testing.assert_array_equal(merged(take_scan(ROOM, sweeps=1), PAPER).ranges, take_scan(ROOM, sweeps=1).ranges[0])
 
 
 def without(scan, lost):
@@ -100,22 +97,22 @@ def test_short_runs_are_restored_and_long_ones_are_not(sweeps):
     """Also across the bearing of 180 degrees."""
     scan = take_scan(ROOM, DARK, sweeps=sweeps)
     few, many = [718, 719, 0, 100, 101, 102, 103], list(range(300, 305))
-    assert longest_run(DARK) == 4
-    whole, beams = (merge_sweeps(one, DARK) for one in (scan, without(scan, few + many)))
-    restored = restore_lost_beams(beams, DARK)
-    assert restored.hit[few].all()
-    assert not restored.hit[many].any()
-    np.testing.assert_allclose(restored.ranges[few], whole.ranges[few], atol=0.05)
+    assert longest_run(DARK.record) == 4
+    whole, beams = (merged(one, DARK) for one in (scan, without(scan, few + many)))
+    filled = restored(beams, DARK)
+    assert filled.hit[few].all()
+    assert not filled.hit[many].any()
+    np.testing.assert_allclose(filled.ranges[few], whole.ranges[few], atol=0.05)
     kept = np.delete(np.arange(720), few)
-    assert np.array_equal(restored.ranges[kept], beams.ranges[kept])
+    assert np.array_equal(filled.ranges[kept], beams.ranges[kept])
 
 
 def test_an_opening_between_two_surfaces_is_not_closed():
     faces = np.concatenate([chain((3.0, -1.0), (3.0, 0.0)), chain((6.0, 0.0), (6.0, 3.0))])
     scan = take_scan(faces, DARK, sweeps=1)
     edge = np.flatnonzero(scan.hit[0] & (scan.ranges[0] < 4.0)).max()
-    beams = merge_sweeps(without(scan, [edge]), DARK)
-    assert not restore_lost_beams(beams, DARK).hit[edge]
+    beams = merged(without(scan, [edge]), DARK)
+    assert not restored(beams, DARK).hit[edge]
 
 
 def test_nothing_behind_a_slanting_wall_is_free():
@@ -128,11 +125,11 @@ def test_nothing_behind_a_slanting_wall_is_free():
     assert len(segments.line) == 1
     assert len(corners) == 0  # the wall goes on unseen: it has no end there
     assert len(front_end(scan, LMS200)[-1]) > 0
-    stopped = stop_at_walls(beams, segments, SLANTING)
+    ended = stopped(beams, segments, SLANTING)
     towards = (bearings[0] > math.radians(3.0)) & (bearings[0] < math.radians(177.0))
-    np.testing.assert_allclose(stopped.ranges[towards], 1.0 / np.sin(bearings[0][towards]), rtol=0.01)
-    assert (stopped.ranges[bearings[0] < 0.0] == 30.0).all()
-    assert np.array_equal(stopped.hit, beams.hit)
+    np.testing.assert_allclose(ended.ranges[towards], 1.0 / np.sin(bearings[0][towards]), rtol=0.01)
+    assert (ended.ranges[bearings[0] < 0.0] == 30.0).all()
+    assert np.array_equal(ended.hit, beams.hit)
 
 
 @pytest.mark.parametrize(("behind_m", "is_end"), [(6.0, True), (1.0, False), (None, True)])

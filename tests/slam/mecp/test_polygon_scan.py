@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.config import PolygonConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.mecp.polygons import find_polygons
 from mecp_env.slam.messages import CornerKind, EdgeLabel
 from tests.slam import make
+from tests.slam.frontend.make import on_walls
 from tests.slam.mecp.polygon_rooms import (
     BOX,
     ROOMS,
@@ -99,7 +99,7 @@ def test_a_pillar_is_no_wall_and_does_not_kill_the_rooms_polygon():
 def test_beams_on_walls_are_those_of_clusters_with_lines():
     clusters = make.clusters([0, 10], [5, 12], [0, 1], roll=718)
     beams = beams_of(walls_of(RECTANGLE), np.array([1.0, 1.0, 0.0]))
-    assert np.flatnonzero(beams_on_walls(clusters, beams)).tolist() == [0, 1, 2, 3, 718, 719]
+    assert np.flatnonzero(on_walls(clusters, beams)).tolist() == [0, 1, 2, 3, 718, 719]
 
 
 @pytest.mark.parametrize("detected", [True, False])

@@ -9,7 +9,6 @@ from scipy.spatial import cKDTree
 
 from mecp_env.core.se2 import inverse, to_map, wrap_angle
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.panorama import registration
 from mecp_env.slam.panorama.registration import (
     RegistrationLimits,
@@ -21,7 +20,8 @@ from mecp_env.slam.panorama.registration import (
     surfaces_of,
 )
 from tests.slam import make
-from tests.slam.scans import PAPER, front_end, ring, take_scan
+from tests.slam.frontend.make import PAPER, front_end, on_walls
+from tests.slam.scans import ring, take_scan
 
 CONFIG = SlamConfig()
 LIMITS = RegistrationLimits.of(CONFIG)
@@ -39,7 +39,7 @@ def moved(faces, T):
 
 def surfaces_and_beams(faces, seed, max_range_m=30.0):
     beams, clusters, segments, _ = front_end(take_scan(faces, seed=seed, max_range_m=max_range_m))
-    return surfaces_of(beams, segments, beams_on_walls(clusters, beams), PAPER), beams
+    return surfaces_of(beams, segments, on_walls(clusters, beams), PAPER), beams
 
 
 def registered(faces, T, prior, cov=PRIOR, other=None, **scan):

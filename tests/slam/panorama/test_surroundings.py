@@ -9,13 +9,13 @@ import pytest
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.frontend.clustering import beams_on_walls
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
 from mecp_env.slam.panorama import is_in_room, marks_seen, poses_of_marks, rooms_like, seen_from
 from mecp_env.slam.panorama.registration import surfaces_of
 from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
 from tests.slam import make
-from tests.slam.scans import PAPER, front_end, ring, take_scan
+from tests.slam.frontend.make import PAPER, front_end, on_walls
+from tests.slam.scans import ring, take_scan
 
 T = np.array([0.4, -0.3, 0.8])
 MARKS = np.array([-2, -3])
@@ -91,7 +91,7 @@ def test_surfaces_are_hits_on_walls_with_the_normals_of_their_segments():
     faces = np.concatenate((ring((-2.0, -1.5), (3.0, -1.5), (3.0, 2.5), (-2.0, 2.5)), body))
     beams, clusters, segments, _ = front_end(take_scan(faces, seed=3, max_range_m=2.6))
     fewer = {name: getattr(segments, name)[1:] for name in ("points", "line", "cov", "cluster", "first", "last")}
-    segments, wall = replace(segments, **fewer), beams_on_walls(clusters, beams)  # a wall without a line is not flat
+    segments, wall = replace(segments, **fewer), on_walls(clusters, beams)  # a wall without a line is not flat
     found, normals = surfaces_of(beams, segments, wall, PAPER), np.zeros((len(beams.ranges), 2))
     for first, last, (alpha, _) in zip(segments.first, segments.last, segments.line, strict=True):
         normals[(segments.roll + np.arange(first, last + 1)) % len(normals)] = -math.cos(alpha), -math.sin(alpha)
