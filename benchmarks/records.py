@@ -171,7 +171,7 @@ def read_drive(path: Path, course: Course | None = None) -> Drive:
 def _drive_of(header: dict[str, Any], arrays: dict[str, Any]) -> Drive:
     """The drive of what a record holds."""
     outline, range_m = build_outline(load_layout(header["layout"])), header["max_range_m"]
-    slam = SlamConfig(**SlamConfig.without_gone(header["slam"]))
+    slam = SlamConfig(**header["slam"])
     pairs = zip(arrays["ranges"], arrays["hit"], strict=True)
     scans = [Scan(ranges, arrays["bearings"], hit, range_m) for ranges, hit in pairs]
     ends = np.cumsum(np.maximum(arrays["arcs"], 0))[:-1]  # of the readings before each scan; -1: at rest at the start

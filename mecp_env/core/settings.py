@@ -174,7 +174,6 @@ def _leaves(annotation: Any) -> list[Any]:
 class Settings(BaseModel):
     """A frozen section of the configuration tree; a wrong field raises `ConfigError`."""
 
-    GONE: ClassVar[frozenset[str]] = frozenset()  # fields of older versions, which their files may still have
     DERIVED: ClassVar[tuple[str, ...]] = ()  # properties that are in the `record` beside the fields
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False, ser_json_inf_nan="constants")
@@ -226,12 +225,6 @@ class Settings(BaseModel):
         return copied
 
     @classmethod
-    def without_gone(cls, fields: Mapping[str, Any]) -> dict[str, Any]:
-        """The fields of an older file without those that are gone, in the sections inside this one as well."""
-        kinds = {name: field.annotation for name, field in cls.model_fields.items()}
-        return {name: _without_gone(kinds.get(name), value) for name, value in fields.items() if name not in cls.GONE}
-
-    @classmethod
     def parse(cls, given: Self | dict[str, Any] | None) -> Self:
         """The section that `given` stands for: itself, a dict of fields, or None for the defaults."""
         if isinstance(given, cls):
@@ -246,12 +239,6 @@ class Settings(BaseModel):
             raise
         except ValueError as error:
             raise ConfigError(f"{cls.__name__}.{error}") from None
-
-
-def _without_gone(kind: Any, value: Any) -> Any:
-    """A value as it is, or as that of a section without what is gone."""
-    is_section = isinstance(kind, type) and issubclass(kind, Settings) and isinstance(value, Mapping)
-    return kind.without_gone(value) if is_section else value
 
 
 class Names:

@@ -127,8 +127,7 @@ class Decoder:
         return real_array(content)[()]
 
     def _settings(self, content: list[Any]) -> Any:
-        kind = class_of(content[0], Settings)
-        return kind(**kind.without_gone(content[1]))
+        return class_of(content[0], Settings)(**content[1])
 
     def _array(self, content: list[Any]) -> Any:
         array = np.array(real_array(content[0]), order="K", copy=True)

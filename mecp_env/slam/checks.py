@@ -6,12 +6,12 @@ Compiled functions do not check array bounds: untrusted input is checked here.
 from __future__ import annotations
 
 import math
-from enum import Enum, auto
+from enum import Enum
 from typing import Any
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import MecpError
 from mecp_env.core.errors import SensorError as SensorError
 from mecp_env.core.jit import compiled
@@ -21,20 +21,19 @@ from mecp_env.core.snapshot_check import FAR
 from mecp_env.slam.messages import Decision, Match
 
 FLOATS = np.dtype(np.float64)
-KINDS = {"ranges": np.dtype(np.float64), "bearings": np.dtype(np.float64), "hit": np.dtype(np.bool_)}
-COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": np.dtype(np.float64)}
+KINDS = {"ranges": FLOATS, "bearings": FLOATS, "hit": np.dtype(np.bool_)}
+COLUMNS = {name: np.dtype(np.int64) for name in ("ids", "decision", "reason")} | {"nis": FLOATS}
 ROUNDING = math.sqrt(np.finfo(np.float64).eps)  # of a product of variances, by which a covariance may be off
 DECISIONS = frozenset(map(int, Decision))
 WITH_ID = frozenset((int(Decision.LANDMARK), int(Decision.PROVISIONAL)))
 
 
 class Fault(Enum):
-    """What is wrong with a scan."""
+    """What may be wrong with a scan, as a message says it."""
 
-    NONE = auto()
-    NOT_FINITE = auto()
-    OUT_OF_RANGE = auto()
-    OUT_OF_ORDER = auto()
+    NOT_FINITE = "scan.ranges, scan.bearings: every value must be finite"
+    OUT_OF_RANGE = "scan.ranges: {low:g} to {high:g} m is not within 0 to max_range_m = {most:g} m"
+    OUT_OF_ORDER = "scan.bearings: not ascending in (-pi, pi] in every sweep"
 
 
 class MatchError(MecpError):
@@ -53,13 +52,9 @@ def check_scan(scan: Scan, field_of_view_rad: float = 2.0 * math.pi) -> None:
     require_arrays(scan, KINDS, shape, "scan", SensorError)
     _check_range(scan.max_range_m)
     fault = find_fault(scan.ranges, scan.bearings, float(scan.max_range_m))
-    if fault == Fault.NOT_FINITE:
-        raise SensorError("scan.ranges, scan.bearings: every value must be finite")
-    if fault == Fault.OUT_OF_RANGE:
+    if fault is not None:
         low, high = float(np.min(scan.ranges)), float(np.max(scan.ranges))
-        raise SensorError(f"scan.ranges: {low:g} to {high:g} m is not within 0 to max_range_m = {scan.max_range_m:g} m")
-    if fault == Fault.OUT_OF_ORDER:
-        raise SensorError("scan.bearings: not ascending in (-pi, pi] in every sweep")
+        raise SensorError(fault.value.format(low=low, high=high, most=scan.max_range_m))
     if field_of_view_rad < 2.0 * math.pi:
         _check_view(scan.bearings, 0.5 * field_of_view_rad)
 
@@ -84,10 +79,10 @@ def _check_view(bearings: Array, most: float) -> None:
         raise SensorError(f"scan.bearings: up to {given:g} deg, at most {bound:g}, half of sensor.field_of_view_deg")
 
 
-def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault:
-    """The first fault of ranges and bearings (K,B) in the order of the beams."""
+def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault | None:
+    """The first fault of ranges and bearings (K,B) in the order of the beams, if there is one."""
     if is_sound(ranges, bearings, max_range):
-        return Fault.NONE
+        return None
     previous = np.column_stack((np.full(len(bearings), -math.inf), bearings[:, :-1]))
     faulty = {
         Fault.NOT_FINITE: ~(np.isfinite(ranges) & np.isfinite(bearings)),
@@ -95,7 +90,7 @@ def find_fault(ranges: Array, bearings: Array, max_range: float) -> Fault:
         Fault.OUT_OF_ORDER: (bearings <= previous) | (abs(bearings) > math.pi),
     }
     first = {fault: int(beams.argmax()) for fault, beams in faulty.items() if beams.any()}
-    return min(first, key=first.__getitem__, default=Fault.NONE)
+    return min(first, key=first.__getitem__, default=None)
 
 
 @compiled
@@ -164,31 +159,14 @@ def check_match(match: Match, corners: int, features: int) -> Match:
     if not isinstance(match, Match):
         raise MatchError(f"match: {type(match).__name__}, a Match expected")
     require_arrays(match, COLUMNS, (corners,), "match", MatchError)
-    if not is_decided(match.ids, match.decision, features):
-        _refuse(match.ids.tolist(), match.decision.tolist(), features)
-    return match
-
-
-@compiled
-def is_decided(ids: Ints, decision: Ints, features: int) -> bool:
-    """True when each corner has a decision, and an id below `features` where that names one; ids and decision (n,)."""
-    sound = True
-    for i in range(ids.shape[0]):
-        named = decision[i] == Decision.LANDMARK or decision[i] == Decision.PROVISIONAL
-        known = named or decision[i] == Decision.NEW or decision[i] == Decision.IGNORED
-        sound &= known and (not named or 0 <= ids[i] < features)
-    return sound
-
-
-def _refuse(ids: list[int], decisions: list[int], features: int) -> None:
-    """Raise `MatchError` for the first corner without a sound decision."""
-    for corner, (id_, decision) in enumerate(zip(ids, decisions, strict=True)):
+    for corner, (id_, decision) in enumerate(zip(match.ids.tolist(), match.decision.tolist(), strict=True)):
         if decision not in DECISIONS:
             raise MatchError(
                 f"match.decision[{corner}]: {decision} is not a Decision, {min(DECISIONS)} to {max(DECISIONS)}"
             )
         if decision in WITH_ID and not 0 <= id_ < features:
             raise MatchError(f"match.ids[{corner}]: {id_}, one of the {features} ids given out expected, from 0")
+    return match
 
 
 def _shape_of(given: Any, otherwise: tuple[int, ...]) -> tuple[int, ...]:
@@ -202,8 +180,6 @@ def require_arrays(
     """Raise `error` unless the fields of `kinds` are arrays of that type and `shape`."""
     for name, kind in kinds.items():
         given = getattr(carrier, name)
-        if type(given) is np.ndarray and given.dtype is kind and given.shape == shape:
-            continue
         if not isinstance(given, np.ndarray):
             raise error(f"{what}.{name}: {type(given).__name__}, an array of {kind} expected")
         if given.dtype != kind:

@@ -29,20 +29,8 @@ def chi2_of_point(probability: float) -> float:
     return -2.0 * math.log(1.0 - probability)
 
 
-METHODS = Names(
-    *(
-        "mecp",
-        "mecp_paper",
-        "jcbb",
-        "ccda",
-        "joint_descriptor",
-        "nearest",
-        "nearest_room",
-        "nearest_descriptor",
-        "known",
-    ),
-    by="register_associator",
-)
+RIVALS = ("jcbb", "ccda", "joint_descriptor", "nearest", "nearest_room", "nearest_descriptor")
+METHODS = Names("mecp", "mecp_paper", *RIVALS, "known", by="register_associator")
 KINDS = Names("riekf", "riekf_submaps", "ekf", "fej", by="register_filter")
 STRUCTURE_NAMES = Names("mecp", "largest_area", "dobkin", by="register_structure")
 
@@ -105,7 +93,6 @@ class ClusteringConfig(Settings):
 class SegmentConfig(Settings):
     """III-A.1, split-and-merge (Ramer-Douglas-Peucker) and the line fit; a wall has room for one."""
 
-    GONE: ClassVar = frozenset({"trim_beams", "long_beams", "face_gain"})
     DERIVED: ClassVar = ("long_beams",)
 
     min_beams: int = Field(5, ge=3, le=100)
@@ -126,8 +113,6 @@ class SegmentConfig(Settings):
 class GapConfig(Settings):
     """III, doors: which gaps between two line ends are doors."""
 
-    GONE: ClassVar = frozenset({"parallel_deg", "offset_m", "deep_m"})
-
     oblique_deg: float = Field(60.0, gt=0.0, lt=90.0)  # between the walls beside a door, where it is in line with one
     deep_share: float = Field(0.25, ge=0.0, le=1.0)  # of the beams between the jambs go on deeper than any wall: else
     # it is a niche
@@ -138,7 +123,6 @@ class GapConfig(Settings):
 class CornerConfig(Settings):
     """III-A.1, line intersections and line end points; door jambs (III: fixed unique width for doors)."""
 
-    GONE: ClassVar = frozenset({"edge_beams", "face_gain"})
     DERIVED: ClassVar = ("is_constant",)
 
     min_angle_deg: float = Field(15.0, gt=0.0, lt=90.0)  # between two lines that intersect at a corner; else parallel
@@ -168,8 +152,6 @@ class CornerConfig(Settings):
 class PolygonConfig(Settings):
     """III-A.2, the Maximum Empty Convex Polygon, or another spatial structure (VI)."""
 
-    GONE: ClassVar = frozenset({"open_width_m"})
-
     structure: Annotated[str, AfterValidator(STRUCTURE_NAMES.check)] = "mecp"  # or one of STRUCTURE_NAMES
     tolerance_sigmas: float = Field(2.5, ge=0.0, le=10.0)  # paper: none
     check_walls: bool = True  # no polygon that a wall crosses; paper: none
@@ -189,11 +171,6 @@ class PolygonConfig(Settings):
 class DynamicObjectsConfig(Settings):
     """Pedestrians and boxes on floor seen free before, and the landmarks that they leave; paper: a static world."""
 
-    GONE: ClassVar = frozenset(
-        {"range_m", "max_sigma_m", "wall_m", "prune_nearest_m", "closure_nis", "closure_sigma_m", "width_m", "beams"}
-        | {"prune_scans", "prune_range_m", "beside_m", "facing_deg", "inside_m", "sigmas"}
-    )
-
     margin_m: float = Field(0.2, ge=0.0, le=2.0)  # a hit this far inside free floor is dynamic, and a new corner nearer
     # to it is ignored; 0: a static world
     beyond_m: float = Field(0.3, ge=0.0, le=5.0)  # beams that all go on this far behind a landmark are evidence against
@@ -207,9 +184,7 @@ class PanoramaConfig(Settings):
     use: Literal["blind", "needed", "always", "never"] = "needed"  # blind: for lasers with a blind side
     # needed: and for scans of fewer corners than tell where the robot is (`localisation.least_corners`)
     scans: int = Field(6, ge=1, le=50)  # at most, in the window
-    spacing_m: float = Field(
-        1.0, gt=0.0, le=10.0
-    )  # between the poses of two of them, or a turn by half as many radians
+    spacing_m: float = Field(1.0, gt=0.0, le=10.0)  # between the poses of two of them, or a turn by half as many rad
 
     @property
     def spacing_rad(self) -> float:
@@ -220,9 +195,6 @@ class PanoramaConfig(Settings):
 class TrackConfig(Settings):
     """From a corner seen once to a landmark."""
 
-    GONE: ClassVar = frozenset(
-        {"merge_nis", "merge_m", "end_sightings", "jamb_sightings", "gate_sigmas", "descriptor_deg"}
-    )
     DERIVED: ClassVar = ("jamb_sightings",)
 
     sightings: int = Field(3, ge=1, le=20)  # of a corner, and of a door
@@ -241,8 +213,6 @@ class TrackConfig(Settings):
 
 class AssociationConfig(Settings):
     """III-B, data association."""
-
-    GONE: ClassVar = frozenset({"most_seeds", "iterations", "most_pairs", "sharp_sigma_deg", "ignore_gate"})
 
     method: Annotated[str, AfterValidator(METHODS.check)] = "mecp"  # one of METHODS, or one registered
     use_polygons: bool = True
@@ -280,8 +250,6 @@ class AssociationConfig(Settings):
 class FilterConfig(Settings):
     """The filter (paper: EKF-SLAM, "ekf")."""
 
-    GONE: ClassVar = frozenset({"closure_gap_steps", "linearisation_sigma_m"})
-
     kind: Annotated[str, AfterValidator(KINDS.check)] = "riekf_submaps"  # riekf, ekf, fej, or one registered
     prior_sigma_m: float = Field(1e-5, gt=0.0, le=10.0)  # of the start, and of the distance of merged landmarks
     prior_sigma_rad: float = Field(1e-6, gt=0.0, le=3.0)
@@ -315,11 +283,6 @@ class LocalisationConfig(Settings):
 class RoomConfig(Settings):
     """III, rooms and doors."""
 
-    GONE: ClassVar = frozenset(
-        {"hysteresis_m", "recognise_by_corners_m", "confirm_sightings", "wall_thickness_m", "trail_step_m"}
-        | {"recognise_m"}
-    )
-
     doorway_m: float = Field(0.3, ge=0.0, le=2.0)  # the robot is in a doorway up to here, behind it in the other room
     recognise_corners: int = Field(3, ge=1, le=100)  # of another room, seen from two places, that merge rooms
     trail_places: int = Field(512, ge=2, le=100_000)  # of the robot's path, that are kept at most
@@ -327,8 +290,6 @@ class RoomConfig(Settings):
 
 class GridConfig(Settings):
     """The semantic grid."""
-
-    GONE: ClassVar = frozenset({"doorway_m", "lever_m", "wall_m"})
 
     resolution_m: float = Field(0.1, ge=0.02, le=1.0)
     key_scan_m: float = Field(0.5, gt=0.0, le=10.0)  # a view from farther is another one: a key scan where no other of
@@ -363,18 +324,15 @@ class SlamConfig(Settings):
         """
         return cls(
             sensor=SensorModel(range_sigma_m=0.05, bearing_sigma_deg=0.3),  # IV: "assumed", whatever the laser has
-            clustering=ClusteringConfig(
-                threshold="adaptive", sweeps="union"
-            ),  # III-A.1: d / cos(85 deg), no noise term
+            clustering=ClusteringConfig(threshold="adaptive", sweeps="union"),  # III-A.1: d / cos(85 deg), no noise
             segments=SegmentConfig(merge_gain=0.0, shift_beams=0, pillar_radius_m=0.0),  # Ramer-Douglas-Peucker alone
             corners=CornerConfig(
                 short_faces=False,  # two lines or an end
                 covariance="sensor",  # IV: constant sigmas
                 door_width_m=(0.75, 1.05),  # III: one width, as a scan measures it
             ),
-            polygon=PolygonConfig(
-                tolerance_sigmas=0.0, check_walls=False, sites="corners", widest_gap_m=1.2
-            ),  # III-A.2: exact
+            # III-A.2: exact
+            polygon=PolygonConfig(tolerance_sigmas=0.0, check_walls=False, sites="corners", widest_gap_m=1.2),
             panorama=PanoramaConfig(use="never"),
             dynamic_objects=DynamicObjectsConfig(margin_m=0.0),  # a static world
             tracks=TrackConfig(sightings=1, merge=False),  # augmented at once; a gap of door width is a door (III)

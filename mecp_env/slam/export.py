@@ -46,8 +46,8 @@ def room_outline(grid: SemanticGrid, room: int) -> list[list[Ring]]:
 def rings_of(cells: Bools) -> list[Ring]:
     """The rings around connected cells (H,W), the outer one first; none touches itself."""
     after = _edges(cells)
-    rings = [ring for first in sorted(after) for walk in _walks(after, first) for ring in _simple(walk)]
-    return sorted((_corners(np.array(ring, np.float64)) for ring in rings), key=area, reverse=True)
+    rings = [_corners(np.array(ring, np.float64)) for first in sorted(after) for ring in _loops(after, first)]
+    return sorted(rings, key=area, reverse=True)
 
 
 def area(ring: Ring) -> float:
@@ -68,30 +68,19 @@ def _edges(cells: Bools) -> dict[Vertex, list[Vertex]]:
     return after
 
 
-def _walks(after: dict[Vertex, list[Vertex]], first: Vertex) -> list[list[Vertex]]:
-    """Every closed walk from a vertex along edges that no walk has taken yet; each is taken out of `after`."""
-    walks = []
-    while after[first]:
-        walk = [first, after[first].pop()]
-        while walk[-1] != first:
-            walk.append(after[walk[-1]].pop())
-        walks.append(walk)
-    return walks
-
-
-def _simple(walk: list[Vertex]) -> list[list[Vertex]]:
-    """A closed walk cut where it comes back to a vertex: rings that visit each vertex once."""
-    rings, path, at = [], list[Vertex](), dict[Vertex, int]()
-    for vertex in walk:
-        if vertex in at:
-            loop = path[at[vertex] :]
-            rings.append([*loop, vertex])
-            del path[-len(loop) :]
-            for left in loop:
-                del at[left]
-        at[vertex] = len(path)
+def _loops(after: dict[Vertex, list[Vertex]], first: Vertex) -> list[list[Vertex]]:
+    """The closed walks from a vertex on, cut where they come back to one; each edge is taken out of `after`."""
+    loops, path, on_path = [], [first], {first}
+    while after[path[-1]]:
+        vertex = after[path[-1]].pop()
         path.append(vertex)
-    return rings
+        if vertex in on_path:
+            begin = path.index(vertex)
+            loops.append(path[begin:])
+            del path[begin + 1 :]
+            on_path.difference_update(loops[-1][1:-1])
+        on_path.add(vertex)
+    return loops
 
 
 def _corners(ring: Ring) -> Ring:
@@ -173,11 +162,11 @@ def checked(paths: dict[str, PathLike | None]) -> dict[str, Path]:
 def _check_apart(wanted: dict[str, Path]) -> None:
     """Raise `ConfigError` for a file that is wanted twice."""
     writers = dict[Path, str]()
-    for name, path in wanted.items():
-        for file in _files(name, path):
-            other = writers.setdefault(file, name)
-            if other != name:
-                raise ConfigError(f"{name}: {file} is written by {other} too; name another file")
+    files = [(file, name) for name, path in wanted.items() for file in _files(name, path)]
+    for file, name in files:
+        other = writers.setdefault(file, name)
+        if other != name:
+            raise ConfigError(f"{name}: {file} is written by {other} too; name another file")
 
 
 def _files(name: str, path: Path) -> list[Path]:
@@ -230,10 +219,9 @@ def save_rooms(what: EstimatedMap, path: Path) -> list[Path]:
     parts = {room: room_outline(what.grid, room) for room in what.graph.rooms}
     features = [_feature("room", room, outline, {}) for room, outline in parts.items() if outline]
     for door in what.graph.doors:
+        ring = door_outline(what.belief, door, what.grid.resolution_m)
         rooms = [room for room in door.rooms if room >= 0]
-        features.append(
-            _feature("door", door.id, [[door_outline(what.belief, door, what.grid.resolution_m)]], {"rooms": rooms})
-        )
+        features.append(_feature("door", door.id, [[ring]], {"rooms": rooms}))
     return _write(path, json.dumps({"type": "FeatureCollection", "features": features}, allow_nan=False).encode())
 
 
@@ -241,12 +229,8 @@ def _feature(kind: str, number: int, parts: list[list[Ring]], more: dict[str, An
     rings = [[ring.tolist() for ring in part] for part in parts]
     one = len(rings) == 1
     geometry = {"type": "Polygon" if one else "MultiPolygon", "coordinates": rings[0] if one else rings}
-    return {
-        "type": "Feature",
-        "id": f"{kind}-{number}",
-        "properties": {"kind": kind, "id": number, **more},
-        "geometry": geometry,
-    }
+    properties = {"kind": kind, "id": number, **more}
+    return {"type": "Feature", "id": f"{kind}-{number}", "properties": properties, "geometry": geometry}
 
 
 def save_grid(grid: SemanticGrid, path: Path) -> list[Path]:

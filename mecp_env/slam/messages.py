@@ -101,11 +101,6 @@ class MergedScan:
     raw_ranges: Array  # (K*B,) m, all raw beams in order of bearing
     raw_bearings: Array  # (K*B,) rad, ascending
 
-    def with_hits(self, hit: Bools) -> MergedScan:
-        """The same scan with other hits (B,)."""
-        raw = self.max_range_m, self.raw_ranges, self.raw_bearings
-        return MergedScan(self.ranges, self.bearings, hit, self.count, *raw)
-
     @property
     def step(self) -> float:
         """The spacing of the bearings, rad."""
@@ -168,9 +163,7 @@ class Corners:
     @property
     def R(self) -> Array:
         """(n,2,2) covariance of each corner's own range and bearing."""
-        n = len(self)
-        blocks: Array = self.cov.reshape(n, 2, n, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
-        return blocks
+        return point_blocks(self.cov)
 
     def with_linearisation(self, pose_cov: Array) -> Corners:
         """The same corners with what one linearisation at a predicted pose neglects, as an error of each position.
@@ -201,6 +194,13 @@ class Corners:
 
     def __len__(self) -> int:
         return len(self.z)
+
+
+def point_blocks(cov: Array) -> Array:
+    """(n,2,2) the covariance of each point alone, from the joint one (2n,2n)."""
+    n = len(cov) // 2
+    blocks: Array = cov.reshape(n, 2, n, 2).diagonal(axis1=0, axis2=2).transpose(2, 0, 1)
+    return blocks
 
 
 @compiled

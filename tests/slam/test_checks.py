@@ -27,7 +27,7 @@ def fault_of(ranges, bearings, max_range):
             if not (last < bearing and -math.pi <= bearing <= math.pi):
                 return Fault.OUT_OF_ORDER
             last = bearing
-    return Fault.NONE
+    return None
 
 
 @pytest.mark.parametrize(("max_range", "beams"), [(MAX_RANGE_M, 37), (MAX_RANGE_M, 1), (math.inf, 2), (math.nan, 2)])

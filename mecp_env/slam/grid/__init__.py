@@ -7,8 +7,7 @@ When one of them moves by more than half a cell, its votes are taken off the gri
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from itertools import compress
-from operator import is_not
+from operator import is_
 
 import numpy as np
 
@@ -16,7 +15,7 @@ from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.config import GridConfig
 from mecp_env.slam.grid import cells, key_scans
 from mecp_env.slam.grid.canvas import Canvas, empty_grid
-from mecp_env.slam.grid.layers import DoorLayer, PolygonLayer, ScanLayer
+from mecp_env.slam.grid.layers import IDS, DoorLayer, PolygonLayer, ScanLayer
 from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, MapPolygon, MergedScan, RoomGraph, Segments, SemanticGrid
 
 
@@ -107,9 +106,8 @@ class GridPainter:
     def _update_polygons(self, p_landmark: Array, known: tuple[MapPolygon, ...], change: int) -> None:
         """Bring the polygons on the grid in line with the known ones."""
         old = self.polygons.known  # a polygon seen again is a new one with the ids of the old
-        again = compress(zip(known, old, strict=False), map(is_not, known, old))
-        differs = len(known) != len(old) or any(now.ids is not before.ids for now, before in again)
-        differs |= bool(change & key_scans.WENT)
+        same = len(known) == len(old) and all(map(is_, map(IDS, known), map(IDS, old)))
+        differs = not same or bool(change & key_scans.WENT)
         if differs:
             self.polygons.compare(self.canvas, known)
         if differs or change & key_scans.CAME:

@@ -130,10 +130,8 @@ def are_walled_up(layers: Layer, quads: Array, occupied_ratio: float, raster: Ra
     shut, last = np.zeros(quads.shape[0], np.bool_), (layers.shape[2] - 1, layers.shape[1] - 1)
     for d in range(quads.shape[0]):
         across, onward = quads[d, 1] - quads[d, 0], quads[d, 3] - quads[d, 0]
-        count, lines = (
-            math.ceil(2.0 * math.hypot(across[0], across[1])),
-            math.ceil(2.0 * math.hypot(onward[0], onward[1])),
-        )
+        count = math.ceil(2.0 * math.hypot(across[0], across[1]))
+        lines = math.ceil(2.0 * math.hypot(onward[0], onward[1]))
         for line in range(lines):
             deep, run, longest = (line + 0.5) / lines, 0, 0
             right = quads[d, 0] + deep * (quads[d, 3] - quads[d, 0])
@@ -160,9 +158,10 @@ def paint_room(
     walls = to_map(T_map_robot, strips.reshape(4 * strips.shape[0], 2)) / raster.resolution_m
     eye, through = T_map_robot[:2] / raster.resolution_m, np.zeros(strips.shape[0], np.bool_)
     for i in range(doors.shape[0]):
-        if not looks_through(free, eye, doors[i]):
+        front, behind = split_outline(free, eye, doors[i])
+        if not len(behind):
             continue
-        free = split_outline(free, eye, doors[i])[0]
+        free = front
         ax, ay, bx, by = door_ends(eye, doors[i])
         for j in range(strips.shape[0]):
             x, y = 0.5 * (walls[4 * j, 0] + walls[4 * j + 1, 0]), 0.5 * (walls[4 * j, 1] + walls[4 * j + 1, 1])
@@ -178,8 +177,9 @@ def forget_room(layer: Layer, room: int, outline: Array, T_map_robot: Array, doo
     """Take `room` off the cells that a scan saw through doors (d,2,2) which were not known when it was painted."""
     free, eye = to_map(T_map_robot, outline) / raster.resolution_m, T_map_robot[:2] / raster.resolution_m
     for i in range(doors.shape[0]):
-        if looks_through(free, eye, doors[i]):
-            fill_polygon(layer, split_outline(free, eye, doors[i])[1], CLEAR, room, raster)
+        behind = split_outline(free, eye, doors[i])[1]
+        if len(behind):
+            fill_polygon(layer, behind, CLEAR, room, raster)
 
 
 @compiled
@@ -269,15 +269,3 @@ def crossing_stretch(px: float, py: float, qx: float, qy: float, ax: float, ay: 
     if before >= 0.0 or after < 0.0:
         return 0.0
     return (px * qy - py * qx) / (after - before)
-
-
-@compiled
-def looks_through(outline: Array, eye: Array, door: Array) -> bool:
-    """True when some of the free space (m,2) seen from `eye` (2,) lies behind the door (2,2)."""
-    ax, ay, bx, by = door_ends(eye, door)
-    for i in range(outline.shape[0]):
-        px, py = outline[i - 1, 0] - eye[0], outline[i - 1, 1] - eye[1]
-        qx, qy = outline[i, 0] - eye[0], outline[i, 1] - eye[1]
-        if door_share(ax, ay, bx, by, qx, qy) < 1.0 or crossing_stretch(px, py, qx, qy, ax, ay) > 1.0:
-            return True
-    return False

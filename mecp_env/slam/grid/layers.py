@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from operator import attrgetter, is_
+from operator import attrgetter
 
 import numpy as np
 
@@ -138,15 +137,10 @@ class PolygonLayer:
 
     def compare(self, canvas: Canvas, known: tuple[MapPolygon, ...]) -> None:
         """Take off what is no longer known; what is new waits to be painted."""
-        now, before = unlike(known, self.known)
-        came, went = without(now, before), without(without(before, self.waiting), now)
-        again = {ring_of(polygon) for polygon in came}
-        for ids in map(ring_of, went):
-            if ids in self.painted and ids not in again:
-                self._stamp(canvas, self.painted.pop(ids), -1)
-        new = set(map(id, map(IDS, [*came, *self.waiting])))
-        new_ones = [polygon for polygon in known if id(polygon.ids) in new] if new else []
-        self.waiting = [polygon for polygon in new_ones if ring_of(polygon) not in self.painted]
+        rings = {tuple(polygon.ids.tolist()): polygon for polygon in known}
+        for ids in self.painted.keys() - rings.keys():
+            self._stamp(canvas, self.painted.pop(ids), -1)
+        self.waiting = [polygon for ids, polygon in rings.items() if ids not in self.painted]
         self.known = known
 
     def paint_waiting(self, canvas: Canvas, p_landmark: Array) -> None:
@@ -186,26 +180,6 @@ class PolygonLayer:
     def _stamp(self, canvas: Canvas, polygon: PaintedPolygon, delta: int) -> None:
         """Paint a polygon (`delta` 1) or take it off (-1)."""
         canvas.stamp(polygon.ring[None], cells.COVER, delta, polygon.room)
-
-
-def ring_of(polygon: MapPolygon) -> tuple[int, ...]:
-    """The vertex ids, to look up."""
-    return tuple(polygon.ids.tolist())
-
-
-def unlike(known: Sequence[MapPolygon], before: Sequence[MapPolygon]) -> tuple[list[MapPolygon], list[MapPolygon]]:
-    """Both lists without what they begin with in common: polygons are added at the end, and few go."""
-    same = list(map(is_, map(IDS, known), map(IDS, before)))
-    first = same.index(False) if False in same else len(same)
-    return list(known[first:]), list(before[first:])
-
-
-def without(polygons: Sequence[MapPolygon], others: Sequence[MapPolygon]) -> list[MapPolygon]:
-    """The polygons that are not among the others: a polygon that changed keeps its array of ids."""
-    there = set(map(id, map(IDS, others)))
-    if not there or there.issuperset(map(id, map(IDS, polygons))):  # asked without a loop here, as it is the rule
-        return [] if there else list(polygons)
-    return [polygon for polygon in polygons if id(polygon.ids) not in there]
 
 
 @dataclass(slots=True, eq=False)
@@ -264,9 +238,8 @@ class DoorLayer:
         With one face known the door is a cell deep, as walls are painted. It is deeper by half a cell on both sides, to
         join the floor.
         """
-        faces = p_landmark[
-            np.array([(*jambs, *(other or jambs)) for _, jambs, other in doors], np.int64).reshape(-1, 4)
-        ]
+        jambs = np.array([(*face, *(other or face)) for _, face, other in doors], np.int64)
+        faces = p_landmark[jambs.reshape(-1, 4)]
         depth = np.array([0.0 if other else self.config.resolution_m for _, _, other in doors], np.float64)
         along, rim = faces[:, 1] - faces[:, 0], 0.5 * self.config.resolution_m
         share = along / np.maximum(np.hypot(along[:, 0], along[:, 1]), 1e-9)[:, None]

@@ -5,7 +5,7 @@ Polygons are links to feature ids, with one room each, and a cap per room (Fig. 
 
 from __future__ import annotations
 
-from collections import Counter
+from collections import Counter, defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import compress
@@ -75,9 +75,8 @@ class LandmarkMap:
 
     def forget_tracks(self, step: int, resolve: Resolve) -> None:
         """Drop all tracks and the polygons that they were vertices of: the robot was put elsewhere after `step`."""
-        self.polygons.outdated |= drop_tracks(
-            self.features, step + 1 + self.config.tracks.window_steps, self.config.tracks
-        )
+        late = step + 1 + self.config.tracks.window_steps
+        self.polygons.outdated |= drop_tracks(self.features, late, self.config.tracks)
         self.polygons.prune(self.features, resolve)
 
     def initialise(self, seen: Sighting, confirmed: Ints, landmark_filter: Filter) -> Sighting:
@@ -93,9 +92,8 @@ class LandmarkMap:
         landmark_filter.augment(z, R, ids)
         accepted = np.array([landmark_filter.has(int(i)) for i in ids])
         if not (accepted.any() or len(landmark_filter.ids)):
-            raise FilterError(
-                f"{type(landmark_filter).__name__}.augment: it added none of the landmarks {ids.tolist()}"
-            )
+            augment = f"{type(landmark_filter).__name__}.augment"
+            raise FilterError(f"{augment}: it added none of the landmarks {ids.tolist()}")
         self.features.rows["state"][ids] = np.where(accepted, int(FeatureState.LANDMARK), int(FeatureState.DEAD))
         return replace(seen, belief=landmark_filter.belief())
 
@@ -196,7 +194,8 @@ class MapPolygonStore:
         kept = are_whole(groups_of(self.polygons) if renamed else self.groups, np.array(rooms, np.int64), features)
         if renamed:
             self.polygons = without_doubles(list(compress(self.polygons, kept.tolist())))
-            self._index()
+            self.row = {tuple(polygon.ids.tolist()): i for i, polygon in enumerate(self.polygons)}
+            self.groups = groups_of(self.polygons)
             rooms, kept = list(map(ROOM, self.polygons)), np.ones(len(self.polygons), np.bool_)
         leave_most_seen(kept, self.polygons, rooms, self.most_per_room)
         if not kept.all():
@@ -208,8 +207,8 @@ class MapPolygonStore:
         became = {room: resolve(room) for room in set(named)}
         if all(room == now for room, now in became.items()):
             return named
-        self.polygons = [in_room(polygon, became[polygon.room]) for polygon in self.polygons]
-        return [polygon.room for polygon in self.polygons]
+        self.polygons = [replace(polygon, room=became[polygon.room]) for polygon in self.polygons]
+        return [became[room] for room in named]
 
     def visible_landmarks(self, p_map: Array, belief: Belief) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
@@ -221,18 +220,14 @@ class MapPolygonStore:
     def rename(self, keep: int, drop: int) -> None:
         """Two ids are one corner: polygons that named `drop` now name `keep`."""
         self.outdated = True
-        flat, lengths = all_vertices(self.polygons)
-        for i in np.unique(np.repeat(np.arange(len(lengths)), lengths)[flat == drop]).tolist():
-            polygon = self.polygons[i]
+        for i, polygon in enumerate(self.polygons):
+            if drop not in polygon.ids.tolist():
+                continue
             ring = np.where(polygon.ids == drop, keep, polygon.ids)
             intervals = np.empty_like(polygon.intervals)
             roll_to_least(ring, polygon.intervals, intervals)
             self.polygons[i] = replace(polygon, ids=ring, intervals=intervals)
             self.row = {}  # two may be one now: `prune` finds out
-
-    def _index(self) -> None:
-        self.row = {tuple(polygon.ids.tolist()): i for i, polygon in enumerate(self.polygons)}
-        self.groups = groups_of(self.polygons)
 
     def _keep(self, kept: Bools) -> None:
         """Forget the polygons that `kept` (P,) does not name."""
@@ -300,11 +295,6 @@ def leave_most_seen(kept: Bools, polygons: list[MapPolygon], rooms: list[int], m
             kept[members[: count - most]] = False
 
 
-def in_room(polygon: MapPolygon, room: int) -> MapPolygon:
-    """The polygon in that room."""
-    return polygon if polygon.room == room else replace(polygon, room=room)
-
-
 def are_whole(groups: dict[int, PolygonGroup], rooms: Ints, features: FeatureTable) -> Bools:
     """(P,) whether all vertices of each polygon live and lie in its one of the `rooms` (P,)."""
     state, room, whole = features.rows["state"], features.rows["room"], np.ones(len(rooms), np.bool_)
@@ -322,15 +312,10 @@ def without_doubles(polygons: list[MapPolygon]) -> list[MapPolygon]:
 
 def groups_of(polygons: list[MapPolygon]) -> dict[int, PolygonGroup]:
     """The polygons by how many vertices they have."""
-    (flat, lengths), groups = all_vertices(polygons), dict[int, PolygonGroup]()
-    first = np.cumsum(lengths) - lengths
-    for cardinality in set(lengths.tolist()):
-        index = np.flatnonzero(lengths == cardinality)
-        groups[cardinality] = PolygonGroup(index, flat[first[index, None] + np.arange(cardinality)])
-    return groups
-
-
-def all_vertices(polygons: list[MapPolygon]) -> tuple[Ints, Ints]:
-    """The vertex ids of all polygons in a row, and how many each (P,) has."""
-    rings = [polygon.ids for polygon in polygons]
-    return np.concatenate([np.empty(0, np.int64), *rings]), np.array(list(map(len, rings)), np.int64)
+    members = defaultdict[int, list[int]](list)
+    for i, polygon in enumerate(polygons):
+        members[len(polygon.ids)].append(i)
+    return {
+        cardinality: PolygonGroup(np.array(index), np.array([polygons[i].ids for i in index]))
+        for cardinality, index in sorted(members.items())
+    }

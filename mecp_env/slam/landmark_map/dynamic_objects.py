@@ -9,12 +9,13 @@ free floor: nothing is dynamic.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from mecp_env.core.carriers import Array, Bools, Bytes, Ints, Rows
+from mecp_env.core.carriers import Array, Bools, Bytes, Rows
 from mecp_env.core.jit import compiled
+from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import DynamicObjectsConfig, SensorModel
 from mecp_env.slam.messages import (
     NO_ID,
@@ -51,16 +52,19 @@ class DynamicObjects:
 
     def reject(self, match: Match, corners: Corners, beams: MergedScan, dynamic: Bools | None) -> Match:
         """The match in which new corners near dynamic beams are ignored."""
-        if dynamic is None or not len(corners):
+        if dynamic is None or NEW not in match.decision.tolist():
             return match
-        near = near_dynamic(corners.z, match.decision, beams.ranges, beams.bearings, dynamic, self.config.record)
+        new = np.flatnonzero(match.decision == NEW)
+        ends = polar_to_points(np.stack((beams.ranges[dynamic], beams.bearings[dynamic]), axis=1))
+        offset = polar_to_points(corners.z[new])[:, None] - ends
+        near = new[(np.hypot(offset[..., 0], offset[..., 1]) < self.config.margin_m).any(axis=1)]
         return match.assign(near, NO_ID, int(Decision.IGNORED), int(Reason.DYNAMIC)) if len(near) else match
 
     def without(self, beams: MergedScan, segments: Segments, dynamic: Bools | None) -> tuple[MergedScan, Segments]:
         """Beams and segments to paint: free floor up to dynamic objects, no wall there."""
         if dynamic is None:
             return beams, segments
-        return beams.with_hits(beams.hit & ~dynamic), without_dynamic(segments, dynamic)
+        return replace(beams, hit=beams.hit & ~dynamic), without_dynamic(segments, dynamic)
 
 
 class StaticWorld(DynamicObjects):
@@ -174,19 +178,3 @@ def whole_bodies(ranges: Array, bearings: Array, hit: Bools, marked: Bools, conf
                 whole[k] = True
                 k = (k + step) % size
     return whole
-
-
-@compiled
-def near_dynamic(z: Array, decision: Ints, ranges: Array, bearings: Array, dynamic: Bools, config: Rows) -> Ints:
-    """(c,) the corners z (n,2) still NEW that lie near the end of a dynamic beam (B,)."""
-    clearance, near, count = config[0].margin_m, np.empty(z.shape[0], np.int64), 0
-    for i in range(z.shape[0]):
-        for k in range(ranges.shape[0] if decision[i] == NEW else 0):
-            if not dynamic[k]:
-                continue
-            square = z[i, 0] ** 2 + ranges[k] ** 2 - 2.0 * z[i, 0] * ranges[k] * math.cos(z[i, 1] - bearings[k])
-            if square < clearance * clearance:
-                near[count] = i
-                count += 1
-                break
-    return near[:count]

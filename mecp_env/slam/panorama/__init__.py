@@ -75,12 +75,6 @@ def marks_seen(T_past_now: Array, cov: Array) -> tuple[Array, Array]:
     return z, R
 
 
-def poses_since(landmark_filter: Filter, ids: Ints) -> tuple[Array, Array]:
-    """T_past_now (w,3) since each of w past poses, and its covariance (w,3,3); `ids` (w,2) are those of the marks."""
-    poses, covs = poses_of_marks(*landmark_filter.marginal(ids.ravel()))
-    return poses, covs
-
-
 @compiled
 def poses_of_marks(mean: Array, cov: Array) -> tuple[Array, Array]:
     """T_past_now (w,3) and covariances (w,3,3), from mean (3+4w,) and covariance of the pose and of two marks each."""
@@ -242,7 +236,9 @@ class RecentScans:
         return self.scans[-1].doubtful + 1 if self.scans and self.linked else self.config.scans
 
     def _poses(self, scans: list[RecentScan], landmark_filter: Filter) -> tuple[Array, Array]:
-        return poses_since(landmark_filter, np.array([scan.marks for scan in scans]))
+        marks = np.concatenate([scan.marks for scan in scans])
+        poses, covs = poses_of_marks(*landmark_filter.marginal(marks))
+        return poses, covs
 
     def _surfaces(self, scan: ScanFeatures) -> Surfaces:
         return surfaces_of(scan.beams, scan.segments, scan.wall, self.sensor)

@@ -314,9 +314,8 @@ class Registration:
 
     def is_sound(self, prior: Prior, limits: RegistrationLimits) -> bool:
         """True when nearly all points agree, and when most do and the prior allows for it."""
-        if self.share >= limits.clear_share or self.share < limits.least_share:
-            return self.share >= limits.clear_share
-        return self.nis(prior, limits) < limits.gate
+        most_agree = self.share >= limits.least_share
+        return self.share >= limits.clear_share or (most_agree and self.nis(prior, limits) < limits.gate)
 
     def is_possible(self, prior: Prior, limits: RegistrationLimits) -> bool:
         """True when most points agree where the prior expects it: no sign of another place."""

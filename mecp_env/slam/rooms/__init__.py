@@ -35,7 +35,8 @@ from mecp_env.slam.rooms.doors import (
     door_frames,
     forget_jambs,
     gap_frame,
-    lies_inside,
+    is_at,
+    offset,
     pass_through,
     record_doorways,
     rename_jambs,
@@ -105,21 +106,12 @@ class RoomGraphEstimator:
     trail: Trail = field(default_factory=Trail)  # the path since this room was entered
     parted: dict[int, tuple[int, int]] = field(default_factory=dict)  # as in RoomGraph
     previous_room: dict[int, int] = field(default_factory=dict)  # landmark -> room it was in before it was moved
-    seen_from_both: set[tuple[int, int, int]] = field(
-        default_factory=set
-    )  # landmarks moved and moved back, and the two rooms
+    seen_from_both: set[tuple[int, int, int]] = field(default_factory=set)  # moved and moved back; the two rooms
 
     def graph(self) -> RoomGraph:
         """The room graph after the last step."""
-        return RoomGraph(
-            self.current,
-            self.in_doorway,
-            tuple(self.rooms),
-            tuple(self.door_map.doors),
-            tuple(self.door_map.candidates),
-            dict(self.merged),
-            dict(self.parted),
-        )
+        known = tuple(self.rooms), tuple(self.door_map.doors), tuple(self.door_map.candidates)
+        return RoomGraph(self.current, self.in_doorway, *known, dict(self.merged), dict(self.parted))
 
     def mark_beyond(self, corners: Corners, belief: Belief) -> tuple[Corners, Ints]:
         """The corners with those seen through a mapped door no longer sites, and (n,) the id of that door or -1."""
@@ -172,9 +164,7 @@ class RoomGraphEstimator:
                 continue
             here, there = rooms_beside(self.door_map, self.door_map.frames(belief)[d], self.config)
             left, room = self.current, here if there == self.current else self._open()
-            self.door_map.set_doors(
-                [*self.door_map.doors[:d], replace(door, rooms=(room, left)), *self.door_map.doors[d + 1 :]]
-            )
+            self.door_map.change(d, replace(door, rooms=(room, left)))
             step, count = passed
             later = features.rows["room"][count:]  # features initialised since then
             later[later == left] = room
@@ -242,9 +232,11 @@ class RoomGraphEstimator:
     def _follow_candidates(self, features: FeatureTable, belief: Belief) -> None:
         """Driving through a gap that is not yet a door opens a room as well."""
         for candidate in self.door_map.candidates:
-            passed = _passed(belief.T_map_robot, candidate.ends, self.config.doorway_m)
+            frame = gap_frame(candidate.ends)
+            ahead, beside = offset(frame.tolist(), belief.T_map_robot)
+            passed = -1.0 < ahead < -self.config.doorway_m and beside < 0.0
             if passed and self.resolve(candidate.room) == self.current and are_landmarks(candidate.ids, features):
-                here, there = rooms_beside(self.door_map, gap_frame(candidate.ends), self.config)
+                here, there = rooms_beside(self.door_map, frame, self.config)
                 room = there if here == self.current else self._open()
                 pass_through(self.door_map, candidate, features, (self.current, room), self.config)
                 self._arrive(room)
@@ -352,12 +344,11 @@ class RoomGraphEstimator:
         middles = self.door_map.frames(belief)[:, :2].tolist()
         self.door_map.inside += [(x, y) for d, (x, y) in zip(doors, middles, strict=True) if d.rooms[0] == d.rooms[1]]
         self.door_map.set_doors([door for door in doors if door.rooms[0] != door.rooms[1]])
-        self.door_map.candidates = [
-            c for c in self.door_map.candidates if not lies_inside(self.door_map, c.ends, self.config)
-        ]
+        inside = self.door_map.inside
+        self.door_map.candidates = [c for c in self.door_map.candidates if not is_at(c.ends, inside, self.config)]
 
     def _with_rooms_resolved(self, joins: Joins) -> Joins:
-        first, second = (room if room == UNKNOWN_ROOM else self.resolve(room) for room in joins.rooms)
+        first, second = map(self.resolve, joins.rooms)
         return replace(joins, rooms=(first, second))
 
     def resolve(self, room: int) -> int:
@@ -382,16 +373,6 @@ def _doors_near(p_robot: Array, p_map: Array, ids: Ints, jambs: Ints, margin: fl
             near[count, 0], near[count, 1], near[count, 2], near[count, 3] = d, ahead, aside, half
             count += 1
     return near[:count]
-
-
-def _passed(p_robot: Array, ends: Array, margin: float) -> bool:
-    """True when the robot is between `margin` and 1 m behind the gap with the ends (2,2): right and left in front."""
-    (right_x, right_y), (left_x, left_y) = ends.tolist()
-    (p_x, p_y, _), x, y = p_robot.tolist(), left_x - right_x, left_y - right_y
-    width = math.hypot(x, y)
-    dx, dy = p_x - (right_x + left_x) / 2.0, p_y - (right_y + left_y) / 2.0
-    ahead, aside = dx * (-y / width) + dy * (x / width), dx * (x / width) - dy * (-y / width)
-    return bool(abs(aside) < width / 2.0 and -1.0 < ahead < -margin)
 
 
 @compiled

@@ -6,6 +6,7 @@ What the stages of rooms and doors ask of a configuration.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Self
 
@@ -34,7 +35,7 @@ class RoomLimits:
     """The limits of rooms and doors."""
 
     confirm_sightings: int  # of a door, as many as make a landmark
-    wall_thickness_m: float  # of the thickest wall
+    wall_thickness_m: float  # of the thickest wall: two gaps whose middles are nearer are one, the faces of a door
     doorway_m: float  # the robot is in a doorway up to here; also between the places of its path that are kept
     recognise_m: float  # two polygons recognised this far apart merge rooms
     recognise_corners: int
@@ -51,11 +52,6 @@ class RoomLimits:
     def recognise_by_corners_m(self) -> float:
         """The same as `recognise_m` for single corners, a weaker sign: three times as far apart."""
         return 3.0 * self.recognise_m
-
-    @property
-    def same_gap_m(self) -> float:
-        """Two gaps whose middles are nearer than this are one: the two faces of a door in the thickest wall."""
-        return self.wall_thickness_m
 
     @property
     def behind_wall_m(self) -> float:
@@ -93,15 +89,17 @@ class DoorMap:
         self.doors = doors
         self.ids = np.array([door.id for door in doors], np.int64)
         self.jambs = door_jambs(doors)
-        faces = [
-            (face, d) for d, door in enumerate(doors) for face in (door.jambs, door.other_face) if face is not None
-        ]
+        faces = [(face, d) for d, door in enumerate(doors) for face in (door.jambs, door.other_face) if face]
         self.row = {pair: d for face, d in faces for pair in (face, face[::-1])}
 
     def add(self, door: Door) -> None:
         """One more door, whose id is `next_id`."""
         self.set_doors([*self.doors, door])
         self.next_id += 1
+
+    def change(self, d: int, door: Door) -> None:
+        """Put a door in the place of the one in row `d`."""
+        self.set_doors([*self.doors[:d], door, *self.doors[d + 1 :]])
 
     def frames(self, belief: Belief) -> Array:
         """(D,5) middle x, y, unit normal x, y towards the first room, half width of each door, from the belief.
@@ -193,7 +191,7 @@ def record_doorways(door_map: DoorMap, seen: Sighting, features: FeatureTable, r
             _see_again(door_map, ids, confirmable, room, config)
             continue
         ends = to_map(seen.belief.T_map_robot, polar_to_points(seen.corners.z[pair]))
-        if not lies_inside(door_map, ends, config):
+        if not is_at(ends, door_map.inside, config):
             gap = Candidate(ends, ids, room, 1, seen.step, int(confirmable))
             _record_gap(door_map, gap, features, seen.belief, config)
 
@@ -235,8 +233,6 @@ def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, room:
         return
     if room not in rooms and rooms[side] in rooms_next_door(door_map, room, config.confirm_sightings):
         rooms[side] = room
-    elif door.sightings >= MOST_SIGHTINGS:
-        return
     sightings = max(door.sightings, min(door.sightings + 1, MOST_SIGHTINGS))
     door_map.doors[d] = Door(door.id, door.jambs, door.other_face, (rooms[0], rooms[1]), sightings)
 
@@ -249,13 +245,13 @@ def _confirm(
         return
     _mark_jambs(ids, features)
     new = Door(door_map.next_id, ids, None, (room, UNKNOWN_ROOM), door_map.sightings[ids])
-    frame = door_frames(belief.p_map, belief.ids, door_jambs([new]))[0]
+    frame = gap_frame(belief.p_map[belief.rows(np.array(ids))])
     before, behind = rooms_beside(door_map, frame, config)
     new = replace(new, rooms=(room, behind if before == room else UNKNOWN_ROOM))
     for d, other in enumerate(door_map.frames(belief)):
         joined = _joined(door_map.doors[d], other, new, frame, room, config)
         if joined is not None:
-            door_map.set_doors([*door_map.doors[:d], joined, *door_map.doors[d + 1 :]])
+            door_map.change(d, joined)
             return
     door_map.add(new)
 
@@ -288,7 +284,7 @@ def same_place(frame: Array, other: Array, config: RoomLimits) -> float:
     alike = float(frame[2] * other[2] + frame[3] * other[3])
     apart = abs(offset[0] * frame[2] + offset[1] * frame[3])
     sideways = abs(offset[0] * frame[3] - offset[1] * frame[2])
-    elsewhere = abs(alike) < 0.9 or sideways > config.same_gap_m or apart > config.wall_thickness_m
+    elsewhere = abs(alike) < 0.9 or sideways > config.wall_thickness_m or apart > config.wall_thickness_m
     return 0.0 if elsewhere else alike
 
 
@@ -300,43 +296,42 @@ def _seen_well(door_map: DoorMap, ends: Array, config: RoomLimits) -> int:
 def _note_candidate(door_map: DoorMap, new: Candidate, belief: Belief, config: RoomLimits) -> None:
     """Remember a gap until it is a door; one gap is one candidate."""
     same = [i for i, known in enumerate(door_map.candidates) if same_gap(known.ends, new.ends, config)]
-    if lies_in_door(door_map, new.ends, belief, config):
+    if is_at(new.ends, door_map.frames(belief)[:, :2].tolist(), config):
         door_map.candidates = [c for i, c in enumerate(door_map.candidates) if i not in same]
     elif same:
         known = door_map.candidates[same[0]]
         ids = new.ids if min(new.ids) >= 0 else known.ids
-        well = max(known.confirmable, new.confirmable)
-        door_map.candidates[same[0]] = replace(
-            new, ids=ids, room=known.room, sightings=known.sightings + 1, confirmable=well
-        )
+        sightings, well = known.sightings + 1, max(known.confirmable, new.confirmable)
+        door_map.candidates[same[0]] = Candidate(new.ends, ids, known.room, sightings, new.last_step, well)
     else:
         door_map.candidates.append(new)
 
 
-def lies_inside(door_map: DoorMap, ends: Array, config: RoomLimits) -> bool:
-    """True when the gap with the ends (2,2) was found to lie inside a room."""
-    x, y = (0.5 * (ends[0] + ends[1])).tolist() if door_map.inside else (0.0, 0.0)
-    return any(math.hypot(x - p_x, y - p_y) < config.same_gap_m for p_x, p_y in door_map.inside)
-
-
-def lies_in_door(door_map: DoorMap, ends: Array, belief: Belief, config: RoomLimits) -> bool:
-    """True when the gap with the ends (2,2) is a door of the map."""
+def is_at(ends: Array, middles: Sequence[Sequence[float]], config: RoomLimits) -> bool:
+    """True when the gap with the ends (2,2) is one of those with these middles, m."""
     x, y = ((ends[0] + ends[1]) / 2.0).tolist()
-    middles = door_map.frames(belief)[:, :2].tolist()
-    return any(math.hypot(x - d_x, y - d_y) < config.same_gap_m for d_x, d_y in middles)
+    return any(math.hypot(x - m_x, y - m_y) < config.wall_thickness_m for m_x, m_y in middles)
 
 
 def same_gap(a: Array, b: Array, config: RoomLimits) -> bool:
     """True when two gaps with the ends a and b (2,2) are one."""
     (a_x, a_y, c_x, c_y), (b_x, b_y, d_x, d_y) = a.ravel().tolist(), b.ravel().tolist()
-    return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.same_gap_m
+    return math.hypot((a_x + c_x - b_x - d_x) / 2.0, (a_y + c_y - b_y - d_y) / 2.0) < config.wall_thickness_m
 
 
 def gap_frame(ends: Array) -> Array:
     """(5,) as `DoorMap.frames`, of a gap with the ends (2,2): right and left as seen from the first room."""
-    (x, y), middle = (ends[1] - ends[0]).tolist(), ends.mean(axis=0)
+    (right_x, right_y), (left_x, left_y) = ends.tolist()
+    x, y = left_x - right_x, left_y - right_y
     width = math.hypot(x, y)
-    return np.array([*middle, -y / width, x / width, width / 2.0])
+    return np.array([(right_x + left_x) / 2.0, (right_y + left_y) / 2.0, -y / width, x / width, width / 2.0])
+
+
+def offset(frame: Sequence[float], p_robot: Array) -> tuple[float, float]:
+    """How far a robot is ahead of a gap, towards its first room, and beside its posts, below 0 between; frame (5,)."""
+    x, y, n_x, n_y, half = frame
+    dx, dy = p_robot.item(0) - x, p_robot.item(1) - y
+    return dx * n_x + dy * n_y, abs(dx * n_y - dy * n_x) - half
 
 
 def rooms_beside(door_map: DoorMap, frame: Array, config: RoomLimits) -> tuple[int, int]:
@@ -385,10 +380,10 @@ def rename_jambs(door_map: DoorMap, keep: int, drop: int) -> None:
     def renamed(pair: tuple[int, int]) -> tuple[int, int]:
         return (keep if pair[0] == drop else pair[0], keep if pair[1] == drop else pair[1])
 
-    faces = [(renamed(door.jambs), door.other_face and renamed(door.other_face)) for door in door_map.doors]
-    door_map.set_doors(
-        [replace(door, jambs=one, other_face=two) for door, (one, two) in zip(door_map.doors, faces, strict=True)]
-    )
+    def with_renamed(door: Door) -> Door:
+        return replace(door, jambs=renamed(door.jambs), other_face=door.other_face and renamed(door.other_face))
+
+    door_map.set_doors(list(map(with_renamed, door_map.doors)))
     merged: dict[tuple[int, int], int] = {}
     for pair, count in door_map.sightings.items():
         merged[renamed(pair)] = merged.get(renamed(pair), 0) + count

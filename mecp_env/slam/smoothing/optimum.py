@@ -17,6 +17,7 @@ from scipy.special import chdtri
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import MecpError
 from mecp_env.core.se2 import between, wrapped
+from mecp_env.slam.messages import point_blocks
 
 Part = tuple[csr_array, csr_array, Array]  # J (r,3n+2l), W (r,r), errors (r,)
 
@@ -73,7 +74,7 @@ class Sightings:
             return cls(empty, empty, np.empty((0, 2)), nothing, np.empty((0, 2, 2)))
         pose, landmark, z, R = zip(*scans, strict=True)
         information = csr_array(block_diag(list(map(inverses, R)), format="csr"))
-        own = inverses(np.concatenate(list(map(own_blocks, R))))
+        own = inverses(np.concatenate(list(map(point_blocks, R))))
         rows = np.repeat(pose, list(map(len, z)))
         return cls(rows, np.concatenate(landmark), np.concatenate(z), information, own)
 
@@ -118,13 +119,6 @@ class PoseGraph:
     def first_of(self, landmark: Ints) -> Ints:
         """(m,) where the numbers of landmarks (m,), rows of `p_map`, begin."""
         return 3 * len(self.T_map_laser) + 2 * landmark
-
-
-def own_blocks(R: Array) -> Array:
-    """(c,2,2) the covariance of each measurement alone, from the joint one (2c,2c)."""
-    c = np.arange(len(R) // 2)
-    blocks: Array = R.reshape(len(c), 2, len(c), 2)[c, :, c]
-    return blocks
 
 
 def inverses(covs: Array) -> Array:
@@ -182,14 +176,6 @@ class Kernel:
         return Weights(1.0 / (1.0 + corners / (self.width * self.corner_gate)), odometry, scale)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class System:
-    """The normal equations at one point."""
-
-    H: csc_array  # (3n+2l,3n+2l) J^T W J
-    g: Array  # (3n+2l,) J^T W e
-
-
 def smooth(
     graph: PoseGraph, gate_probability: float | None = 0.99995, steps: int = 100, settled: float = 1e-4
 ) -> Smoothed:
@@ -210,7 +196,7 @@ def smooth(
     kernel, damping = Kernel.at(graph, gate_probability), 0.0
     for taken in range(1, steps + 1):
         weights = kernel.weights(graph)
-        moved, change = stepped(graph, system_at(graph, weights), damping)
+        moved, change = stepped(graph, *system_at(graph, weights), damping)
         if change > settled and not cost_at(moved, weights) <= cost_at(graph, weights):
             damping = max(10.0 * damping, 1e-9)
             continue
@@ -220,13 +206,13 @@ def smooth(
     raise SmoothingError(f"poses still move by {settled:g} m or rad, or more, after {steps} steps")
 
 
-def stepped(graph: PoseGraph, now: System, damping: float) -> tuple[PoseGraph, float]:
+def stepped(graph: PoseGraph, H: csc_array, g: Array, damping: float) -> tuple[PoseGraph, float]:
     """The graph after a step of Gauss-Newton, and the RMS change of the poses, m and rad."""
-    n, H = len(graph.T_map_laser), now.H
+    n = len(graph.T_map_laser)
     if damping:
         H = csc_array(H + diags_array(damping * H.diagonal()))
     try:
-        step = -splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve(now.g)
+        step = -splu(H, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}).solve(g)
     except RuntimeError as error:  # a pivot is exactly zero
         raise SmoothingError(f"the equations have no solution: {error}") from None
     if not np.isfinite(step).all():
@@ -261,8 +247,8 @@ def cost_at(graph: PoseGraph, weights: Weights) -> float:
     return float(of_sightings + weights.odometry @ motions + registered.sum() + off @ (known @ off))
 
 
-def system_at(graph: PoseGraph, weights: Weights) -> System:
-    """The normal equations at the poses and landmarks of a graph."""
+def system_at(graph: PoseGraph, weights: Weights) -> tuple[csc_array, Array]:
+    """The normal equations at the poses and landmarks of a graph: J^T W J (3n+2l,3n+2l) and J^T W e (3n+2l,)."""
     known, off = priors_of(graph)
     H, g = known, known @ off
     for J, W, e in (
@@ -272,7 +258,7 @@ def system_at(graph: PoseGraph, weights: Weights) -> System:
     ):
         JW = J.T @ W
         H, g = H + JW @ J, g + JW @ e
-    return System(csc_array(H), g)
+    return csc_array(H), g
 
 
 def sightings_part(graph: PoseGraph, weights: Weights) -> Part:

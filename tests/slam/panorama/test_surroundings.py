@@ -10,7 +10,7 @@ from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import UNKNOWN_ROOM, FeatureState
-from mecp_env.slam.panorama import is_in_room, marks_seen, poses_of_marks, poses_since, rooms_like, seen_from
+from mecp_env.slam.panorama import is_in_room, marks_seen, poses_of_marks, rooms_like, seen_from
 from mecp_env.slam.panorama.registration import surfaces_of
 from mecp_env.slam.panorama.surroundings import are_new, moved_measurements, ranges_of
 from tests.slam import make
@@ -130,7 +130,7 @@ def test_a_clone_knows_the_motion_since(kind):
     cloned.augment(*marks_seen(np.zeros(3), TINY), MARKS)
     for increments in drives:
         drive(cloned, increments)
-    poses, covs = poses_since(cloned, MARKS[None])
+    poses, covs = poses_of_marks(*cloned.marginal(MARKS))
     expected = since.belief()
     assert np.allclose(poses[0], expected.T_map_robot, atol=1e-9)
     assert np.allclose(covs[0], expected.pose_cov, atol=2e-6)
