@@ -46,7 +46,8 @@ class Located:
     cov: Array  # (3,3) m, rad, of what is known but for the corners
     corners: Ints  # (c,)
     ids: Ints  # (c,) their landmarks
-    misfit: float = 0.0  # corners that it leaves unexplained; one on its landmark counts by how far it is off
+    off: float = 0.0  # how far the corners are off their landmarks, as so many that are not on theirs at all
+    misfit: float = 0.0  # the same, and the corners that it leaves unexplained
 
     def differs_from(self, other: Located) -> bool:
         """True unless the two have pairs in common and pair no corner with different landmarks."""
@@ -94,8 +95,8 @@ class LandmarkIndex:
         corners = np.flatnonzero(row >= 0)
         _, first = np.unique(row[corners], return_index=True)
         corners = corners[np.sort(first)]
-        misfit = len(seen.p) - len(corners) + self._off(seen, pose, corners, row[corners])
-        return Located(pose, OPEN_COV, corners, self.ids[row[corners]], misfit)
+        off = self._off(seen, pose, corners, row[corners])
+        return Located(pose, OPEN_COV, corners, self.ids[row[corners]], off, len(seen.p) - len(corners) + off)
 
     def _off(self, seen: Points, pose: Array, corners: Ints, row: Ints) -> float:
         """How far the `corners` (c,) are off their landmarks: the sum of their NIS, as shares of `nis_of_one`."""
@@ -243,6 +244,10 @@ class Hypothesis(NamedTuple):
         explains = self.explained >= least and (self.near or self.recognised >= least)
         return explains and not self.share < least
 
+    def lies(self, config: LocalisationConfig) -> bool:
+        """True when most corners that it puts near a landmark lie on it: elsewhere, they are centimetres beside it."""
+        return self.at.off <= (1.0 - config.explained_share) * len(self.at.corners)
+
     def may_be(self, other: Hypothesis, config: LocalisationConfig) -> bool:
         """True when the robot may as well be at the `other` pose: nearly as many corners, or more beams, speak for it.
 
@@ -273,9 +278,10 @@ def _candidates(hypotheses: list[Hypothesis], config: LocalisationConfig) -> lis
     """The poses that the map does not contradict; the near ones alone, if they explain the scan nearly as well as any.
 
     Nearly: by a tenth of what a pose may leave unexplained. In a corridor of equal bays some other often explains a few
-    beams more.
+    beams more. A near one whose corners lie beside their landmarks is no better than others: the robot was carried to a
+    room of nearly the same size, and seems not to have moved.
     """
     possible = [one for one in hypotheses if not one.share < config.explained_share]
     most = max((one.explained for one in possible), default=0.0)
     as_well = most - 0.1 * (1.0 - config.explained_share)
-    return [one for one in possible if one.near and one.explained >= as_well] or possible
+    return [one for one in possible if one.near and one.explained >= as_well and one.lies(config)] or possible

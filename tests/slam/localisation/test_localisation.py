@@ -166,7 +166,7 @@ def test_what_a_pose_leaves_unexplained_is_counted_in_corners():
         S = turn @ J @ (cov * np.eye(2)) @ J.T @ turn.T + covs * np.eye(2)
         nu = np.array([x, y]) + turn @ (r * np.array([math.cos(b), math.sin(b)])) - p_map[row]
         misfit += min(nu @ np.linalg.inv(S) @ nu / PAIRING.rival_gap, 1.0)
-    assert at.misfit == pytest.approx(misfit)
+    assert (at.misfit, at.off) == pytest.approx((misfit, misfit - 1.0))
 
 
 def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_one():
@@ -175,6 +175,8 @@ def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_on
     nearly = near._replace(explained=0.87)  # in equal bays one explains a few beams more
     assert clear_winner([far, nearly], CONFIG) is nearly
     assert clear_winner([far, near._replace(explained=0.85)], CONFIG) is far
+    beside = near._replace(at=replace(near.at, off=2.0))  # in a room of nearly the same size
+    assert clear_winner([far, beside], CONFIG) is far
 
 
 def test_a_far_pose_needs_the_corners_of_the_scan_too():
