@@ -16,7 +16,7 @@ from tests.test_documents import resolve
 ROOT = Path(__file__).parent.parent
 REFERENCE = "".join(path.read_text() for path in (ROOT / "docs/api").glob("*.md"))
 API = re.findall(r":: ([\w.]+)", REFERENCE)
-MOST = 90  # public names; may only become fewer
+MOST = 85  # public names; may only become fewer
 PAGES = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/notebooks").glob("*.md")]
 IMPORT = re.compile(r"^(?:>>> )?from (mecp_env[\w.]*) import (\([^)]*\)|.+)$", re.MULTILINE)
 

@@ -15,7 +15,10 @@ Rules = tuple[Rows, Rows, Rows, Rows, Rows]  # of clusters, segments, corners an
 
 
 def front_end(scan: Scan, config: SlamConfig) -> ScanFeatures:
-    """The features of a scan."""
+    """The beams of a scan, its straight segments, its corners, and which beams end on walls (III-A.1).
+
+    Lengths in m, angles in rad, in the frame of the laser. The scan is not checked: `SlamPipeline` does.
+    """
     lines, points = (
         (config.clustering.record, config.segments.record),
         (config.corners.record, config.corners.gaps.record),

@@ -17,6 +17,7 @@ from mecp_env.slam.messages import UNKNOWN_ROOM, SemanticGrid
 SEVERAL = -2  # more than one room, or a door
 GROWTH_CELLS = 20  # the grid grows by multiples of this
 MAP_FRAME = np.zeros(3)  # the pose of points that are in the map frame already
+AROUND = np.indices((3, 3)).reshape(2, 9).T - 1  # (9,2) from a cell to itself and those beside it
 NOTHING = (2**40, -1, 2**40, -1)  # an empty window
 
 
@@ -26,27 +27,31 @@ def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bool
     Such a component of unknown cells (4 neighbours) does not reach the border of the grid, touches no door and touches
     cells of one room only, and that room is complete (`complete` (r,) by room id).
     """
-    label, room = np.pad(label, 1, constant_values=DOOR_CELL), np.pad(room, 1)  # beyond the grid everything is open
-    owner = np.where(label == DOOR_CELL, SEVERAL, room)
-    tells = (label != UNKNOWN_CELL) & (owner != UNKNOWN_ROOM)
     part, count = ndimage.label(label == UNKNOWN_CELL)
+    inner = np.ones(count + 1, np.bool_)
+    inner[[0, *part[0], *part[-1], *part[:, 0], *part[:, -1]]] = False
+    row, column = np.nonzero(inner[part])
+    own = part[row, column]
     least, most = np.full(count + 1, len(complete)), np.full(count + 1, SEVERAL)  # of the rooms beside each component
-    for shift, axis in ((1, 0), (-1, 0), (1, 1), (-1, 1)):
-        beside = np.roll(part, shift, axis)
-        touching = tells & (beside > 0)
-        np.minimum.at(least, beside[touching], owner[touching])
-        np.maximum.at(most, beside[touching], owner[touching])
+    for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
+        beside = row + down, column + right
+        owner = np.where(label[beside] == DOOR_CELL, SEVERAL, room[beside])
+        tells = (label[beside] != UNKNOWN_CELL) & (owner != UNKNOWN_ROOM)
+        np.minimum.at(least, own[tells], owner[tells])
+        np.maximum.at(most, own[tells], owner[tells])
     pocket = (least == most) & np.isin(least, np.flatnonzero(complete))
-    pockets: Bools = pocket[part][1:-1, 1:-1]
+    pockets: Bools = pocket[part]
     return pockets
 
 
 def apart_from(pockets: Bools, stood: Ints) -> Bools:
     """The pockets (H,W) without those of which a cell is one of `stood` (n,2), column and row, or beside one."""
-    part, _ = ndimage.label(pockets)
-    near = (stood[:, None, None, :] + np.stack(np.meshgrid((-1, 0, 1), (-1, 0, 1)), axis=-1)).reshape(-1, 2)
+    part, count = ndimage.label(pockets)
+    near = (stood[:, None, :] + AROUND).reshape(-1, 2)
     columns, rows = near[((near >= 0) & (near < pockets.shape[::-1])).all(axis=1)].T
-    kept: Bools = pockets & ~np.isin(part, part[rows, columns])
+    dropped = np.zeros(count + 1, np.bool_)
+    dropped[part[rows, columns]] = True
+    kept: Bools = pockets & ~dropped[part]
     return kept
 
 
