@@ -19,11 +19,8 @@ def front_end(scan: Scan, config: SlamConfig) -> ScanFeatures:
 
     Lengths in m, angles in rad, in the frame of the laser. The scan is not checked: `SlamPipeline` does.
     """
-    lines, points = (
-        (config.clustering.record, config.segments.record),
-        (config.corners.record, config.corners.gaps.record),
-    )
-    rules = *lines, *points, config.sensor.record
+    corner_rules = config.corners.record, config.corners.gaps.record
+    rules = config.clustering.record, config.segments.record, *corner_rules, config.sensor.record
     beams, segments, corners, wall = find_features(scan.ranges, scan.bearings, scan.hit, scan.max_range_m, rules)
     doorways = Doorways(*corners[7:])
     return ScanFeatures(MergedScan(*beams), Segments(*segments), Corners(*corners[:7], doorways), wall)

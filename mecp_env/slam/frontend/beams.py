@@ -35,7 +35,7 @@ class Beams(NamedTuple):
 
 
 class BeamRuns(NamedTuple):
-    """BeamRuns of beams that may be on one structure, as in `Clusters`."""
+    """Runs of beams that may be on one structure, as in `Clusters`."""
 
     roll: int
     first: Ints  # (C,)

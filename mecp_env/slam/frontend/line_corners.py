@@ -166,7 +166,7 @@ def add_end(
             ahead = scan.polar[0, q] * math.cos(scan.polar[1, q] - end.alpha) - end.rho
             if ahead < -noise.outlier * noise.range_m:
                 return False
-    ray = counted_end(scan, end, noise) if plain else weighted_end(scan, end, limits, noise)
+    ray = counted_end(scan, end, limits, noise) if plain else weighted_end(scan, end, limits, noise)
     seen = limits.short_faces and ray.evidence > noise.face_gain
     if not (seen or plain or (end.free and recedes)):
         return False
@@ -245,7 +245,7 @@ def write_end(found: Record, segment: int, line: tuple[float, float], ray: EndBe
 
 
 @compiled
-def counted_end(scan: RolledScan, end: LineEnd, noise: Noise) -> EndBearing:
+def counted_end(scan: RolledScan, end: LineEnd, limits: Record, noise: Noise) -> EndBearing:
     """Bearing of a plain end from the number of raw beams on the line around the transition.
 
     Bearing noise makes beams beside the edge hit or miss at random; the count stays unbiased, its variance is the
@@ -258,9 +258,16 @@ def counted_end(scan: RolledScan, end: LineEnd, noise: Noise) -> EndBearing:
     sweeps, gap = total // size, scan.max_range
     for k in range(end.rest + 1, end.rest + noise.edge + 1):
         q = (end.position + end.side * k) % size
-        cosine = math.cos(scan.polar[1, q] - end.alpha)
-        if cosine >= noise.least_cosine:
-            gap = min(gap, scan.polar[0, q] - end.rho / cosine)
+        turn = scan.polar[1, q] - end.alpha
+        if not scan.hit[q] or math.cos(turn) < noise.least_cosine:
+            continue
+        expected = end.rho / math.cos(turn)
+        sigma, beyond = (
+            math.hypot(noise.range_m, expected * math.tan(turn) * noise.bearing),
+            scan.polar[0, q] - expected,
+        )
+        if beyond > limits.line_m + noise.outlier * sigma:  # a beam of the wall may follow those that were lost
+            gap = min(gap, beyond)
     spacing = (scan.raw_bearings[total - 1] - scan.raw_bearings[0]) / (total - 1)
     beam = (end.position - end.side * noise.edge + scan.roll) % size
     first = beam * sweeps if end.side > 0 else beam * sweeps + sweeps - 1
