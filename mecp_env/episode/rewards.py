@@ -59,7 +59,10 @@ def weights_of(config: RewardConfig) -> dict[str, float]:
 
 def new_memory(inputs: RewardInputs, config: RewardConfig) -> RewardMemory:
     """The memory at the start of an episode."""
-    memory = RewardMemory()
+    names = [name for name in OURS if getattr(config, name)] + [
+        name for name, weight in config.custom.items() if weight
+    ]
+    memory = RewardMemory(potentials=dict.fromkeys(names, 0.0))
     remember(memory, inputs, config)
     start_metrics(memory.metric, inputs, config)
     return memory
@@ -67,10 +70,7 @@ def new_memory(inputs: RewardInputs, config: RewardConfig) -> RewardMemory:
 
 def remember(memory: RewardMemory, inputs: RewardInputs, config: RewardConfig) -> None:
     """Update the potentials in `memory` to this step."""
-    weighted = [name for name in OURS if getattr(config, name)] + [
-        name for name in config.custom if config.custom[name]
-    ]
-    memory.potentials = {name: measured(name, inputs) for name in weighted}
+    memory.potentials = {name: measured(name, inputs) for name in memory.potentials}
     sigma, memory.pose_nat, landmark_nat = information(np.ascontiguousarray(inputs.belief.pose_cov), inputs.belief.covs)
     memory.area_m2 = area(memory, inputs, sigma <= config.area_sigma_m)
     memory.landmark_nat = 0.0 if inputs.diverged else landmark_nat
@@ -116,7 +116,7 @@ def measured_terms(memory: RewardMemory, inputs: RewardInputs, config: RewardCon
     """
     area_m2, pose_nat, landmark_nat, before = memory.area_m2, memory.pose_nat, memory.landmark_nat, memory.potentials
     remember(memory, inputs, config)
-    changes = {name: value - before.get(name, 0.0) for name, value in memory.potentials.items()}
+    changes = {name: value - before[name] for name, value in memory.potentials.items()}
     changes["area"] = memory.area_m2 - area_m2
     changes["pose_information"] = memory.pose_nat - pose_nat
     changes["landmark_information"] = memory.landmark_nat - landmark_nat

@@ -16,12 +16,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.distance import cdist
 
-from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints, carrier
 from mecp_env.core.se2 import compose, inverse, to_map
 from mecp_env.core.sensors import LaserView
 from mecp_env.evaluation import metric_arrays
-from mecp_env.slam.messages import NO_ID, Belief, Cell, Corners, Door, SemanticGrid
+from mecp_env.slam.messages import NO_ID, Belief, Cell, Corners, Door, SemanticGrid, rows_by_id
 from mecp_env.slam.output import SlamOutput
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser

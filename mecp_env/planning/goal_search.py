@@ -10,13 +10,12 @@ from operator import attrgetter
 import numpy as np
 from numpy.typing import NDArray
 
-from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.grid_paths import wall_on_path
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import wrap_angle
 from mecp_env.planning.config import GoalsConfig
-from mecp_env.slam.messages import Belief, MapPolygon, SemanticGrid
+from mecp_env.slam.messages import Belief, MapPolygon, SemanticGrid, rows_by_id
 
 Rooms = NDArray[np.int16]
 Layer = tuple[Bools, Array, float]

@@ -12,12 +12,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.planning import goal_search
 from mecp_env.planning.config import GoalsConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, FRONTIER, OPEN, Goal, GoalKind
-from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, Door, EdgeLabel
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, Door, EdgeLabel, rows_by_id
 from mecp_env.slam.output import SlamOutput
 
 Point = tuple[float, float]

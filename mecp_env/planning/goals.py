@@ -13,14 +13,13 @@ from itertools import accumulate
 
 import numpy as np
 
-from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_list import CANDIDATE, DOOR, LOCAL, OPEN, PLACE, Goal, GoalKind, Goals, Outcome
 from mecp_env.planning.goal_sources import GoalContext, find_everything, gap_goals, length_of
 from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
-from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph
+from mecp_env.slam.messages import UNKNOWN_ROOM, Belief, RoomGraph, rows_by_id
 from mecp_env.slam.output import SlamOutput
 
 __all__ = ["Goal", "GoalHistory", "GoalKind", "Goals", "Outcome", "Remembered", "complete_rooms", "find_goals"]

@@ -262,9 +262,6 @@ class FilterConfig(Settings):
     diverged_sigma_m: float = Field(5.0, gt=0.0, le=1000.0)
 
 
-MOST_SIGHTINGS = 50  # of a door, that are counted
-
-
 class LocalisationConfig(Settings):
     """A wrong pose is noticed, and the right one found again without a prior; paper: none."""
 

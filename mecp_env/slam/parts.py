@@ -60,7 +60,7 @@ class SlamParts:
         mount(self.filter, config.sensor)
         self.divergence = Divergence(config.filter.diverged_sigma_m)
         self.map = LandmarkMap(config)
-        self.rooms = RoomGraphEstimator(RoomLimits.of(config))
+        self.rooms = RoomGraphEstimator(room_limits(config))
         self.dynamic_objects = make_dynamic_objects(config.dynamic_objects, config.sensor)
         self.grid = GridPainter(config.grid)
         self.recent = RecentScans(config)
@@ -153,3 +153,10 @@ class SlamParts:
     def visible_landmarks(self, p_map: Array) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""
         return self.map.polygons.visible_landmarks(p_map, self.filter.belief())
+
+
+def room_limits(config: SlamConfig) -> RoomLimits:
+    """The limits of rooms and doors that a configuration implies."""
+    rooms = config.rooms
+    of_others = config.tracks.sightings, config.corners.wall_thickness_m
+    return RoomLimits(*of_others, rooms.doorway_m, config.grid.key_scan_m, rooms.recognise_corners, rooms.trail_places)

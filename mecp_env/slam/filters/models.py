@@ -18,11 +18,11 @@ import math
 
 import numpy as np
 
-from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import mirror_lower, wide
 from mecp_env.core.se2 import wrap_angle
+from mecp_env.slam.messages import find_rows
 
 
 @compiled

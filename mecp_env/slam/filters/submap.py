@@ -24,7 +24,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import (
@@ -42,7 +41,7 @@ from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters.core import RightInvariantEkf
 from mecp_env.slam.filters.update import FIRST_PROBE
 from mecp_env.slam.filters.window import Window, belief_of, integers, slots_of
-from mecp_env.slam.messages import NO_ID, NO_IDS, Belief
+from mecp_env.slam.messages import NO_ID, NO_IDS, Belief, find_rows
 from mecp_env.slam.protocols import FilterError
 
 ROUNDING = float(np.finfo(np.float64).eps)

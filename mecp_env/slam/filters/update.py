@@ -12,12 +12,11 @@ import math
 
 import numpy as np
 
-from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import block_of, downdate, factor_lower, forward_rows, solve_lower
 from mecp_env.slam.filters.models import change_chart, innovation_cov, linearise, project, residual, retract
-from mecp_env.slam.messages import NO_ID
+from mecp_env.slam.messages import NO_ID, find_rows
 
 
 @compiled

@@ -16,7 +16,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from mecp_env.core.arrays import find_rows
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.linalg import block_of, factor_lower, quadratic, solve_lower
@@ -31,7 +30,7 @@ from mecp_env.slam.filters.models import (
     residual,
 )
 from mecp_env.slam.filters.update import gauss_newton, take, world_belief
-from mecp_env.slam.messages import NO_ID, Belief
+from mecp_env.slam.messages import NO_ID, Belief, find_rows
 from mecp_env.slam.protocols import Filter, FilterError
 
 log = logging.getLogger(__name__)

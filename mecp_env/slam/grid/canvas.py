@@ -21,38 +21,33 @@ AROUND = np.indices((3, 3)).reshape(2, 9).T - 1  # (9,2) from a cell to itself a
 NOTHING = (2**40, -1, 2**40, -1)  # an empty window
 
 
-def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools) -> Bools:
+def find_pockets(label: Bytes, room: NDArray[np.int16], complete: Bools, stood: Ints) -> Bools:
     """(H,W) the unknown cells that only the walls and the floor of one completed room surround.
 
     Such a component of unknown cells (4 neighbours) does not reach the border of the grid, touches no door and touches
-    cells of one room only, and that room is complete (`complete` (r,) by room id).
+    cells of one room only, and that room is complete (`complete` (r,) by room id). None of its cells is one of `stood`
+    (n,2), column and row, or beside one.
     """
     part, count = ndimage.label(label == UNKNOWN_CELL)
-    inner = np.ones(count + 1, np.bool_)
-    inner[[0, *part[0], *part[-1], *part[:, 0], *part[:, -1]]] = False
-    row, column = np.nonzero(inner[part])
-    own = part[row, column]
+    inner = np.arange(count + 1) > 0
+    inner[np.concatenate((part[0], part[-1], part[:, 0], part[:, -1]))] = False
+    near = (stood[:, None, :] + AROUND).reshape(-1, 2)
+    columns, rows = near[((near >= 0) & (near < label.shape[::-1])).all(axis=1)].T
+    inner[part[rows, columns]] = False
+    pockets, width = np.zeros(label.shape, np.bool_), label.shape[1]
+    labels, rooms, parts = label.ravel(), room.ravel(), part.ravel()
+    cell = np.flatnonzero(inner.take(parts))
+    own = parts[cell]
     least, most = np.full(count + 1, len(complete)), np.full(count + 1, SEVERAL)  # of the rooms beside each component
-    for down, right in ((1, 0), (-1, 0), (0, 1), (0, -1)):
-        beside = row + down, column + right
-        owner = np.where(label[beside] == DOOR_CELL, SEVERAL, room[beside])
-        tells = (label[beside] != UNKNOWN_CELL) & (owner != UNKNOWN_ROOM)
+    for step in (width, -width, 1, -1):
+        beside = labels[cell + step]
+        owner = np.where(beside == DOOR_CELL, SEVERAL, rooms[cell + step])
+        tells = (beside != UNKNOWN_CELL) & (owner != UNKNOWN_ROOM)
         np.minimum.at(least, own[tells], owner[tells])
         np.maximum.at(most, own[tells], owner[tells])
-    pocket = (least == most) & np.isin(least, np.flatnonzero(complete))
-    pockets: Bools = pocket[part]
+    surrounded = (least == most) & np.isin(least, np.flatnonzero(complete))
+    pockets.ravel()[cell] = surrounded[own]
     return pockets
-
-
-def apart_from(pockets: Bools, stood: Ints) -> Bools:
-    """The pockets (H,W) without those of which a cell is one of `stood` (n,2), column and row, or beside one."""
-    part, count = ndimage.label(pockets)
-    near = (stood[:, None, :] + AROUND).reshape(-1, 2)
-    columns, rows = near[((near >= 0) & (near < pockets.shape[::-1])).all(axis=1)].T
-    dropped = np.zeros(count + 1, np.bool_)
-    dropped[part[rows, columns]] = True
-    kept: Bools = pockets & ~dropped[part]
-    return kept
 
 
 def empty_grid(resolution_m: float) -> SemanticGrid:
@@ -169,7 +164,7 @@ class Canvas:
         grid = self.publish(occupied_ratio)
         if complete.any():
             stood = np.floor((p_laser - grid.origin) / grid.resolution_m).astype(np.int64)
-            layer[:] = apart_from(find_pockets(grid.label, grid.room, complete), stood)
+            layer[:] = find_pockets(grid.label, grid.room, complete, stood)
         self._touch(layer)
 
     def _touch(self, layer: NDArray[np.int16]) -> None:

@@ -14,7 +14,6 @@ from typing import NamedTuple, Self
 
 import numpy as np
 
-from mecp_env.core.arrays import row_of
 from mecp_env.core.carriers import Array, Bools, Ints, Rows
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import face_turn, polar_to_points, to_map, wrap_angle
@@ -35,6 +34,7 @@ from mecp_env.slam.messages import (
     RoomGraph,
     Segments,
     Sighting,
+    row_of,
 )
 
 TRACK, MAPPED, DEAD = int(FeatureState.TRACK), int(FeatureState.LANDMARK), int(FeatureState.DEAD)

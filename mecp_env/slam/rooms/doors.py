@@ -8,15 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Self
 
 import numpy as np
 
-from mecp_env.core.arrays import rows_by_id
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.jit import compiled
 from mecp_env.core.se2 import polar_to_points, to_map
-from mecp_env.slam.config import MOST_SIGHTINGS, SlamConfig
 from mecp_env.slam.messages import (
     UNKNOWN_ROOM,
     Belief,
@@ -27,6 +24,7 @@ from mecp_env.slam.messages import (
     FeatureTable,
     Reason,
     Sighting,
+    rows_by_id,
 )
 
 
@@ -41,13 +39,6 @@ class RoomLimits:
     recognise_corners: int
     trail_places: int
 
-    @classmethod
-    def of(cls, config: SlamConfig) -> Self:
-        """The limits that a configuration implies."""
-        rooms = config.rooms
-        of_others = config.tracks.sightings, config.corners.wall_thickness_m
-        return cls(*of_others, rooms.doorway_m, config.grid.key_scan_m, rooms.recognise_corners, rooms.trail_places)
-
     @property
     def recognise_by_corners_m(self) -> float:
         """The same as `recognise_m` for single corners, a weaker sign: three times as far apart."""
@@ -59,6 +50,7 @@ class RoomLimits:
         return self.wall_thickness_m / 2.0
 
 
+MOST_SIGHTINGS = 50  # of a door, that are counted
 DYNAMIC = int(Reason.DYNAMIC)
 
 

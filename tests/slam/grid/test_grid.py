@@ -284,15 +284,17 @@ def test_a_polygon_covers_the_cells_whose_centre_it_contains(seed: int) -> None:
     assert (layer == np.where(inside, 3, 5)).all()
 
 
-def flooded(label: np.ndarray, room: np.ndarray, complete: np.ndarray) -> np.ndarray:
+def flooded(label: np.ndarray, room: np.ndarray, complete: np.ndarray, stood: np.ndarray) -> np.ndarray:
     """(H,W) the pockets, part by part, each with what is around it; beyond the grid everything is open."""
+    rows, columns = np.indices(label.shape)
+    near = (np.abs(np.stack([columns, rows], axis=-1) - stood[:, None, None]).max(axis=-1) <= 1).any(axis=0)
     pockets, (parts, count) = np.zeros(label.shape, np.bool_), ndimage.label(label == 0)
     label, room = np.pad(label, 1, constant_values=DOOR), np.pad(room, 1, constant_values=-1)
     for part in (parts == k for k in range(1, count + 1)):
         around = ndimage.binary_dilation(np.pad(part, 1)) & ~np.pad(part, 1)
         rooms = set(room[around].tolist()) - {-1}
         closed = not (label[around] == DOOR).any() and len(rooms) == 1
-        pockets |= part & (closed and min(rooms) < len(complete) and bool(complete[min(rooms)]))
+        pockets |= part & (closed and min(rooms) < len(complete) and bool(complete[min(rooms)] & ~near[part].any()))
     return pockets
 
 
@@ -305,8 +307,9 @@ def test_pockets_are_unknown_cells_within_one_complete_room(seed: int) -> None:
         )
         room = np.where(label > 0, rng.choice([-1, 0, 1], label.shape, p=[0.2, 0.75, 0.05]), -1).astype(np.int16)
         complete = rng.random(rng.integers(0, 3)) < 0.8
-        expected = flooded(label, room, complete)
-        assert (find_pockets(label, room, complete) == expected).all()
+        stood = rng.integers(-2, 27, (rng.integers(0, 4), 2))
+        expected = flooded(label, room, complete, stood)
+        assert (find_pockets(label, room, complete, stood) == expected).all()
         found += int(expected.any())
     assert found > 5
 

@@ -8,8 +8,9 @@ from shapely.geometry import LineString
 
 from mecp_env.core.se2 import to_robot
 from mecp_env.slam.config import CornerConfig, SlamConfig
+from mecp_env.slam.parts import room_limits
 from mecp_env.slam.rooms import RoomGraphEstimator, Trail, last_crossing
-from mecp_env.slam.rooms.doors import DoorMap, RoomLimits, beyond_doors, gap_frame, rename_jambs, rooms_beside
+from mecp_env.slam.rooms.doors import DoorMap, beyond_doors, gap_frame, rename_jambs, rooms_beside
 from tests.slam import make
 
 # a wall along y = 0, 0.12 m thick, with a door of 0.9 m around x = 0: jambs of the lower and the upper face
@@ -17,8 +18,8 @@ LOWER = {0: (0.45, -0.06), 1: (-0.45, -0.06)}  # seen from below: right is +x, l
 UPPER = {2: (-0.45, 0.06), 3: (0.45, 0.06)}  # seen from above: right is -x
 OTHERS = {4: (-2.0, -3.0), 5: (2.0, -3.0), 6: (2.0, -0.06), 7: (-2.0, 3.0), 8: (2.0, 3.0), 9: (2.0, 0.06)}
 
-LIMITS = RoomLimits.of(SlamConfig())
-THIN_WALLS = RoomLimits.of(SlamConfig(corners=CornerConfig(wall_thickness_m=0.4)))
+LIMITS = room_limits(SlamConfig())
+THIN_WALLS = room_limits(SlamConfig(corners=CornerConfig(wall_thickness_m=0.4)))
 MOST = LIMITS.trail_places
 GAP = np.array([[0.45, 0.0], [-0.45, 0.0]])
 
