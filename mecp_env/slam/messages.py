@@ -388,7 +388,7 @@ class Door:
     jambs: tuple[int, int]  # landmark ids of the first face: right and left as seen from rooms[0]
     other_face: tuple[int, int] | None  # landmark ids of the second face, same order in space
     rooms: tuple[int, int]  # the room of the first face, the room beyond or UNKNOWN_ROOM
-    sightings: int  # counted up to 50
+    sightings: int
 
 
 @carrier

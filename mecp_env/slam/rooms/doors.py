@@ -50,7 +50,6 @@ class RoomLimits:
         return self.wall_thickness_m / 2.0
 
 
-MOST_SIGHTINGS = 50  # of a door, that are counted
 DYNAMIC = int(Reason.DYNAMIC)
 
 
@@ -225,8 +224,7 @@ def _see_again(door_map: DoorMap, ids: tuple[int, int], confirmable: bool, room:
         return
     if room not in rooms and rooms[side] in rooms_next_door(door_map, room, config.confirm_sightings):
         rooms[side] = room
-    sightings = max(door.sightings, min(door.sightings + 1, MOST_SIGHTINGS))
-    door_map.doors[d] = Door(door.id, door.jambs, door.other_face, (rooms[0], rooms[1]), sightings)
+    door_map.doors[d] = Door(door.id, door.jambs, door.other_face, (rooms[0], rooms[1]), door.sightings + 1)
 
 
 def _confirm(
