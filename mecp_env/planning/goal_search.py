@@ -291,12 +291,16 @@ def looked_at(
     return seen
 
 
-def before_wall(label: Bytes, origin: Array, resolution: float, edges: Array, depth: float) -> Bools:
-    """(e,) whether a wall lies within `depth` (m) behind the middle of each edge (e,6) of `uncovered_edges`."""
-    steps = int(2.0 * depth / resolution)
-    behind = depth * np.arange(1, steps + 1) / steps
-    points = edges[:, None, :2] + behind[:, None] * edges[:, None, 2:4]
+def wall_ahead_m(label: Bytes, origin: Array, resolution: float, rays: Array, most: float) -> Array:
+    """(e,) how far from the start of each ray (e,4), x, y and unit direction, the first wall is, m; inf beyond `most`.
+
+    It is looked for at every half cell.
+    """
+    steps = int(2.0 * most / resolution)
+    away = most * np.arange(1, steps + 1) / steps
+    points = rays[:, None, :2] + away[:, None] * rays[:, None, 2:]
     column, row = np.floor((points - origin) / resolution).astype(np.int64).transpose(2, 0, 1)
     inside = (row >= 0) & (row < label.shape[0]) & (column >= 0) & (column < label.shape[1])
-    walled: Bools = (inside & (label[row * inside, column * inside] == OCCUPIED)).any(axis=1)
-    return walled
+    walled = inside & (label[row * inside, column * inside] == OCCUPIED)
+    distance: Array = np.where(walled, away, math.inf).min(axis=1, initial=math.inf)
+    return distance

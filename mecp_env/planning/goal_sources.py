@@ -191,14 +191,14 @@ def further_in(p_entry: Array, doors: list[DoorPlace], further_m: float) -> Poin
 
 def candidate_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
     """A place in front of each candidate."""
-    goals = []
+    gaps = list[OpenEdge]()
     for candidate in context.slam_output.graph.candidates:
         (ax, ay), (bx, by) = candidate.ends.tolist()  # right and left as seen from the room
         width = length_of(bx - ax, by - ay)
-        back_x, back_y = -(by - ay) / max(width, 1e-9), (bx - ax) / max(width, 1e-9)
-        x, y = (ax + bx) / 2.0 + config.candidate_m * back_x, (ay + by) / 2.0 + config.candidate_m * back_y
-        goals.append(Goal(CANDIDATE, x, y, width, context.slam_output.graph.resolve(candidate.room)))
-    return goals
+        onward_x, onward_y = (by - ay) / max(width, 1e-9), -(bx - ax) / max(width, 1e-9)
+        room = context.slam_output.graph.resolve(candidate.room)
+        gaps.append(((ax + bx) / 2.0, (ay + by) / 2.0, onward_x, onward_y, width, room))
+    return in_front(gaps, context, config.candidate_m)
 
 
 def gap_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
@@ -206,10 +206,26 @@ def gap_goals(context: GoalContext, config: GoalsConfig) -> list[Goal]:
 
     A door seen at a grazing angle shows one jamb or none, but the laser looks through it.
     """
-    away = -config.candidate_m
-    gaps = unexplained_gaps(context, config)
-    return widest(
-        [Goal(CANDIDATE, x + away * nx, y + away * ny, w, room) for x, y, nx, ny, w, room in gaps], config.apart_m
+    return widest(in_front(unexplained_gaps(context, config), context, config.candidate_m), config.apart_m)
+
+
+def in_front(gaps: list[OpenEdge], context: GoalContext, away_m: float) -> list[Goal]:
+    """A goal so far in front of each gap, or half way to a wall that is nearer, as in a narrow corridor."""
+    if not gaps:
+        return []
+    wall_m = walls_ahead(context, gaps, -1.0, away_m)
+    away = np.where(np.isinf(wall_m), away_m, 0.5 * wall_m).tolist()
+    return [
+        Goal(CANDIDATE, x - far * nx, y - far * ny, width, room)
+        for (x, y, nx, ny, width, room), far in zip(gaps, away, strict=True)
+    ]
+
+
+def walls_ahead(context: GoalContext, gaps: list[OpenEdge], onward: float, most_m: float) -> Array:
+    """(g,) m to the first wall within `most_m` behind each gap (`onward` 1) or in front of it (-1); inf without one."""
+    grid, rays = context.slam_output.grid, np.array(gaps, np.float64)[:, :4]
+    return goal_search.wall_ahead_m(
+        grid.label, grid.origin, grid.resolution_m, rays * [1.0, 1.0, onward, onward], most_m
     )
 
 
@@ -220,9 +236,8 @@ def unexplained_gaps(context: GoalContext, config: GoalsConfig) -> list[OpenEdge
     gaps = [gap for gap, known in zip(edges, explained, strict=True) if not known]
     if not gaps:
         return []
-    grid, middles = context.slam_output.grid, np.array(gaps, np.float64)
-    walled = goal_search.before_wall(grid.label, grid.origin, grid.resolution_m, middles, config.wall_behind_m)
-    return [gap for gap, wall in zip(gaps, walled, strict=True) if not wall]
+    walled = np.isfinite(walls_ahead(context, gaps, 1.0, config.wall_behind_m))
+    return [gap for gap, wall in zip(gaps, walled.tolist(), strict=True) if not wall]
 
 
 def are_explained(context: GoalContext, gaps: list[OpenEdge], near_m: float) -> list[bool]:

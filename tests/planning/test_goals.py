@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from mecp_env.core.se2 import to_map
+from mecp_env.core.se2 import to_map, to_robot
 from mecp_env.planning.config import GoalsConfig, PlanningConfig
 from mecp_env.planning.goal_search import BARRIER_CELLS, assign_rooms, far_apart, looked_at, near_lines
 from mecp_env.planning.goal_sources import (
@@ -142,6 +142,17 @@ def test_a_candidate_is_looked_at_from_inside_the_room(toy: Toy) -> None:
     assert settled(target, toy.output(), CONFIG.goals)
     merged = make.graph(candidates=(make.candidate(toy.p_map[[4, 5]], 4),), merged={4: 0})
     assert from_source(candidate_goals, replace(output, graph=merged)).room.tolist() == [0]
+
+
+def test_in_a_narrow_corridor_a_candidate_is_looked_at_from_this_side_of_the_wall(toy: Toy) -> None:
+    toy.confirmed = False
+    output = toy.output()
+    wall = to_map(toy.T_map_world, np.column_stack((np.full(50, 5.0), np.linspace(1.5, 2.5, 50))))  # 1 m from the gap
+    column, row = np.floor((wall - output.grid.origin) / output.grid.resolution_m).astype(int).T
+    label = output.grid.label.copy()
+    label[row, column] = Cell.OCCUPIED
+    goals = from_source(candidate_goals, replace(output, grid=replace(output.grid, label=label)))
+    assert to_robot(toy.T_map_world, goals.p_map) == pytest.approx(np.array([[5.5, 1.95]]), abs=0.06)
 
 
 def with_gap(toy: Toy, edge: int) -> SlamOutput:
