@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
-import json
 import math
 import os
 import platform
@@ -20,7 +19,6 @@ import time
 import timeit
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +26,7 @@ import numba
 import numpy as np
 
 from benchmarks.tables import flatten, readable, table
+from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
 from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies
@@ -62,7 +61,7 @@ class ShardDone(Exception):
     """A part of the units is finished, which gives no figures yet."""
 
 
-class OptionError(ValueError):
+class OptionError(ConfigError):
     """An option on the command line that the benchmark does not support."""
 
 
@@ -159,10 +158,10 @@ def steps_per_s(step: Callable[[], int], seconds: float) -> float:
     return steps / (time.perf_counter() - start)
 
 
-def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
-    """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
+def best_of(call: Callable[[], object], calls: int = 7) -> float:
+    """Seconds of one call of `call`: the least of some, after one to warm up."""
     call()
-    return min(timeit.repeat(call, repeat=repeats, number=calls)) / calls
+    return min(timeit.repeat(call, repeat=calls, number=1))
 
 
 def is_installed(package: str) -> bool:
@@ -197,27 +196,14 @@ def calibration_ms() -> float:
 def machine() -> dict[str, str]:
     """The machine and versions of a measurement."""
     cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.is_file() else None
     return {
-        "processor": next(iter(models), platform.processor() or "unknown"),
+        "processor": model[1].strip() if model else platform.processor() or "unknown",
         "cores": str(os.cpu_count()),
         "system": f"{platform.system()} {platform.machine()}",
         "python": platform.python_version(),
         "numba": numba.__version__,
         "numpy": np.__version__,
-    }
-
-
-def result(name: str, figures: Figures, calibration: float) -> Figures:
-    """Content of a result file: the figures with date, machine and command."""
-    return {
-        "benchmark": name,
-        "date": datetime.now(UTC).date().isoformat(),
-        "command": " ".join(["python -m benchmarks", *sys.argv[1:]]),
-        "machine": machine(),
-        "calibration_ms": calibration,
-        "figures": figures,
     }
 
 
@@ -238,13 +224,6 @@ def page_of(content: Figures, module: Any, picture: str = "") -> str:
 def all_figures(figures: Figures) -> str:
     """One table of all figures."""
     return table(["figure", "value [95 % interval]"], flatten(figures).items())
-
-
-def save(content: Figures, page: str, path: Path) -> None:
-    """Write the result as JSON to `path`, and the page next to it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=2) + "\n")
-    path.with_suffix(".md").write_text(page)
 
 
 def differences(now: Figures, baseline: Figures) -> list[str]:
