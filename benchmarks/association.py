@@ -27,11 +27,10 @@ from benchmarks import loop
 from benchmarks.common import Figures, Options, estimate
 from benchmarks.drives import Drive, Replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_drives, place
-from benchmarks.tables import columns_of, sections, summary, table_of
+from benchmarks.tables import columns_of, summary
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Ints
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.policies.report import cell
 
 METHODS = rows_of(
     *(DEFAULT, "mecp without descriptor", "mecp without polygons", "mecp without rooms", "mecp_paper"),
@@ -157,15 +156,3 @@ def of_drive(row: Figures) -> Figures:
     right, paired = row["tp"], row["tp"] + row["fp"]
     recall = right / max(right + row["fn"], 1)
     return {"precision": right / paired if paired else 1.0, "recall": recall, "rmse_m": row["rmse_m"]}
-
-
-def report(figures: Figures) -> str:
-    """Per layout a table with one row per associator, and one of their differences to `mecp`."""
-    parts = {}
-    for layout, methods in figures.items():
-        paired = [name for name in methods[DEFAULT] if name.endswith("_minus_mecp")]
-        cells = {name: {column: cell(row[column], ".4g") for column in COLUMNS} for name, row in methods.items()}
-        tables = table_of("associator", COLUMNS, cells), table_of("associator", paired, methods)
-        title = f"{layout} ({methods[DEFAULT]['precision']['n']} seeds)"
-        parts[title] = "\n\nMean difference to `mecp` on the same drives:\n\n".join(tables)
-    return sections(parts)

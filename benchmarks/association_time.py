@@ -27,7 +27,7 @@ from benchmarks.loop import course
 from benchmarks.records import IN_MEMORY, Records, on_records
 from benchmarks.rough_pose import FIRST_SCAN, Finished, Look, Sigma, decided, finish, front_end, judged, look, named
 from benchmarks.rough_pose import rough_view as view_at
-from benchmarks.tables import columns_of, sections, summary, table
+from benchmarks.tables import columns_of, summary
 from benchmarks.variants import DEFAULT, Variant, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import MatchBuilder, make_associator
@@ -138,14 +138,3 @@ def figures_of(drives: list[Sums], sigma: str, name: str) -> Figures:
         "ratio_with_polygons": ratio(ours["ms"] + own["polygons_ms"], own["ms"]),
         "ratio_same_corners": ratio(alike["ms"], own["ms"]),
     }
-
-
-def report(figures: Figures) -> str:
-    """Per set a table with a row for each sigma and associator."""
-    columns = ["ms", *RATIOS, "right", "wrong", "polygon", "budget_spent"]
-    parts = {}
-    for layout, cells in figures.items():
-        scans = next(iter(cells.values()))[DEFAULT]["scans"]
-        rows = [[sigma, name, *(row[c] for c in columns)] for sigma, of in cells.items() for name, row in of.items()]
-        parts[f"{layout} ({scans} scans per row)"] = table(["pose", "associator", *columns], rows)
-    return sections(parts)

@@ -25,7 +25,8 @@ from typing import Any
 import numba
 import numpy as np
 
-from benchmarks.tables import flatten, readable, table
+from benchmarks.tables import flatten, readable, report_of
+from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
 from mecp_env.core.jit import compiled
@@ -65,27 +66,28 @@ class OptionError(ConfigError):
     """An option on the command line that the benchmark does not support."""
 
 
-def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int = MOST) -> dict[str, int]:
-    """Number of runs of each set named on the command line as `NAME` or `NAME:COUNT`.
+def chosen(
+    options: Options, there_are: Mapping[str, int], quick: Mapping[str, int] | None = None, most: int = MOST
+) -> Mapping[str, int]:
+    """Number of runs of each set named on the command line as `NAME` or `NAME:COUNT`, or of all; with --quick, `quick`.
 
     Raises `OptionError` for an unknown name or an invalid count.
     """
     counts = {}
-    for given in sets:
+    for given in options.sets:
         name, _, count = given.partition(":")
         if name not in there_are:
             raise OptionError(f"--sets {given}: expected one of {', '.join(there_are)}, got {name!r}")
         if count and not (count.isdecimal() and 1 <= int(count) <= most):
             raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {most}")
         counts[name] = int(count or there_are[name])
-    return counts
+    return counts or (quick if quick and options.quick else there_are)
 
 
 def runs_of(options: Options, counts: Mapping[str, int], quick: int = 2) -> list[tuple[str, int]]:
     """Set and number of each run: of the sets on the command line or all; with --quick, the first `quick` of each."""
-    asked = chosen(options.sets, counts) or counts
     most = quick if options.quick else MOST
-    return [(name, number) for name, count in asked.items() for number in range(min(count, most))]
+    return [(name, number) for name, count in chosen(options, counts).items() for number in range(min(count, most))]
 
 
 def shared_data(kind: str) -> Path | None:
@@ -148,6 +150,12 @@ def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> list[dict[A
     names = list(calls)
     turns = (names[k % len(names) :] + names[: k % len(names)] for k in range(rounds))
     return [{name: calls[name]() for name in turn} for turn in turns]
+
+
+def in_rounds(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, Array]:
+    """(rounds,...) what each call measures, in turns; a round before, which loads compiled functions, is left out."""
+    turns = in_turns(calls, rounds + 1)[1:]
+    return {name: np.array([turn[name] for turn in turns]) for name in calls}
 
 
 def steps_per_s(step: Callable[[], int], seconds: float) -> float:
@@ -215,15 +223,10 @@ def page_of(content: Figures, module: Any, picture: str = "") -> str:
         f"# Benchmark: {content['benchmark']}",
         f"{content['date']}, `{content['command']}`; {machine}; {workload}.",
         (module.__doc__ or "").strip(),
-        getattr(module, "report", all_figures)(content["figures"]),
+        getattr(module, "report", report_of)(content["figures"]),
         f"![{content['benchmark']}]({picture})" if picture and hasattr(module, "figure") else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def all_figures(figures: Figures) -> str:
-    """One table of all figures."""
-    return table(["figure", "value [95 % interval]"], flatten(figures).items())
 
 
 def differences(now: Figures, baseline: Figures) -> list[str]:

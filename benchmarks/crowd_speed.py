@@ -17,7 +17,6 @@ from benchmarks.common import Figures, estimate
 from benchmarks.drives import exploration
 from benchmarks.random_actions import RandomDriver, held
 from benchmarks.stopwatch import timed_stages
-from benchmarks.tables import table_of
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
@@ -83,10 +82,3 @@ def building(number: int) -> Layout:
         layout = generate(spec, split_seed("test", index))
         found += len(build_outline(layout).segments) >= LEAST_FACES
     return layout
-
-
-def report(measured: Figures) -> str:
-    """One table with one row per setting."""
-    columns = ("us", "with_driver_us", "ratio", "with_driver_ratio")
-    rows = {f"{actions}, {setting}": of for actions, settings in measured.items() for setting, of in settings.items()}
-    return table_of("actions, where", columns, rows)

@@ -29,7 +29,7 @@ from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion
-from mecp_env.wrappers import GoalActions
+from mecp_env.wrappers import GoalActions, Step
 
 FAR_SHARE = 0.93  # of the laser's range; walls end there that go on
 ELLIPSE = chi2_of_point(0.9)
@@ -136,14 +136,14 @@ class RecordingEnv(MecpEnv):
         return odometry, scan
 
 
-def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], bool]]:
-    """Explore breadth first from a start given by the seed: the info after each goal, and whether it terminated."""
+def exploration(env: GoalActions, seed: int | None) -> Iterator[Step]:
+    """Explore breadth first from a start given by the seed, or go on (None): what the step of each goal returned."""
     policy, over = BreadthFirst(), False
-    observation, _ = env.reset(seed=seed)
+    observation = env.base.observation() if seed is None else env.reset(seed=seed)[0]
     while not over:
-        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
-        over = terminated or truncated
-        yield info, terminated
+        step = env.step(policy.act(observation, env.action_masks()))
+        observation, over = step[0], step[2] or step[3]
+        yield step
 
 
 def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:

@@ -5,7 +5,8 @@ each 50 m beside the other. The next 12 scans of the drive are timed. `filters`:
 filter, CPU time of the thread; the robot stays among the first landmarks, so that `riekf_submaps` takes no other
 submap (`scale` measures explorations, where it does). `associators`: the decision alone, with the default filter and a
 spurious corner for every fourth corner (see `clutter`); the pose is off by 0.3 m and 3 degrees (sigmas), its covariance
-says so, and the room is unknown; the fastest of three calls counts. Means over scans, with their 95 % intervals.
+says so, and the room is unknown; the fastest of three calls counts. Milliseconds by the number of landmarks, means over
+scans with their 95 % intervals.
 """
 
 from __future__ import annotations
@@ -24,7 +25,6 @@ from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
 from benchmarks.rough_pose import Look, decided, front_end, rough_view
-from benchmarks.tables import table_of
 from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.config import KINDS, SlamConfig
@@ -120,13 +120,6 @@ def copy_polygons(pipeline: SlamPipeline, own: tuple[MapPolygon, ...], to: dict[
             store.polygons.append(replace(polygon, ids=ring, room=polygon.room + rooms))
     store.row, store.outdated = {}, True  # indexed again
     store.prune(pipeline.map.features, pipeline.rooms.resolve)
-
-
-def report(figures: Figures) -> str:
-    """One table of filters, one of associators."""
-    return "\n\n".join(
-        table_of(f"{part}: ms, landmarks", list(next(iter(rows.values()))), rows) for part, rows in figures.items()
-    )
 
 
 def figure(figures: Figures) -> Figure:

@@ -31,7 +31,7 @@ from benchmarks.common import Figures, Options, runs_of
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import by_row, sections, summary, table_of
+from benchmarks.tables import by_row, summary
 from benchmarks.variants import DEFAULT, Variant, own_rows, replays, rows_of
 from mecp_env.core.sensors import Odometry, Scan
 
@@ -139,15 +139,6 @@ def recorded(cell: str, seed: int, records: Records = IN_MEMORY) -> Drive:
 def summarise(drives: list[Figures]) -> Figures:
     """Results of all drives of a cell, each with its 95 % interval over drives."""
     return summary(drives, (*COLUMNS, *OF_RANGE))
-
-
-def report(figures: Figures) -> str:
-    """One table per cell with one row per variant."""
-    parts = {}
-    for cell, variants in figures.items():
-        columns = (*COLUMNS, *OF_RANGE) if cell.startswith("range") else COLUMNS
-        parts[f"{cell} ({variants[DEFAULT]['rmse_m']['n']} drives)"] = table_of("variant", columns, variants)
-    return sections(parts)
 
 
 def figure(figures: Figures) -> Figure:

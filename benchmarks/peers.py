@@ -22,10 +22,10 @@ import shapely
 import yaml
 from numpy.random import Generator
 
-from benchmarks.common import Figures, in_turns, is_installed, ratio
+from benchmarks.common import Figures, in_rounds, is_installed, ratio
 from benchmarks.in_tree import ACTIONS, BEAMS, breadth_first
 from benchmarks.random_actions import RandomDriver, velocity
-from benchmarks.tables import table
+from benchmarks.tables import one_table
 from mecp_env.core.carriers import Array
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
@@ -106,8 +106,7 @@ def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
         return {}
     blocks: dict[Any, Any] = {name: partial(peer(name).seconds_per_step, BLOCK[name]) for name in there}
     blocks |= {(k, kind): partial(ours(k, kind).seconds_per_step, BLOCK[kind]) for k in sweeps for kind in ACTIONS}
-    turned = in_turns(blocks, turns + 1)[1:]  # the first loads compiled functions
-    s = {name: np.array([turn[name] for turn in turned]) for name in blocks}
+    s = in_rounds(blocks, turns)
     return {
         name: {f"K={k}": {kind: compared(s[k, kind], s[name]) for kind in ACTIONS} for k in sweeps} for name in there
     }
@@ -120,11 +119,4 @@ def compared(ours: Array, theirs: Array) -> Figures:
 
 def report(figures: Figures) -> str:
     """One row for each peer and each kind of action of ours."""
-    rows = [
-        (peer, k, actions, *(values[name] for name in ("ratio", "steps_per_s", "peer_steps_per_s")))
-        for peer, settings in figures.items()
-        for k, both in settings.items()
-        for actions, values in both.items()
-    ]
-    head = ["peer", "sweeps", "actions", "our steps per second over the peer's", "our steps per second", "the peer's"]
-    return f"{__doc__}\n{table(head, rows)}" if rows else "The extra `peers` is not installed."
+    return f"{__doc__}\n{one_table(figures)}" if figures else "The extra `peers` is not installed."

@@ -63,7 +63,7 @@ Task = tuple[str, str, int]  # set, plan or number of scans or layout, start or 
 
 def run(options: Options) -> Figures:
     """Results of every set that there are data for."""
-    counts = chosen(options.sets, SETS) or (QUICK if options.quick else SETS)
+    counts = chosen(options, SETS, QUICK)
     skipped = {name: f"no {at}" for name in counts if (at := missing(name))}
     sys.stderr.writelines(f"{name}: skipped, {reason}\n" for name, reason in skipped.items())
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
@@ -126,7 +126,7 @@ def explore(name: str, what: str, seed: int) -> Figures:
     if name == EXPLORED and seed == 0:
         MAPS.mkdir(parents=True, exist_ok=True)
         Image.fromarray(map_picture(env.get_wrapper_attr("view")())).save(MAPS / f"{what}.png")
-    return visit.figures
+    return visit
 
 
 def summarise(name: str, parts: Mapping[str, list[Figures]]) -> Figures:

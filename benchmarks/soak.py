@@ -74,7 +74,7 @@ def driver_of(kind: str) -> Any:
 
 def run(options: Options) -> Figures:
     """The figures of each set; one after the other, each kept when it is finished."""
-    counts = chosen(options.sets, SETS, MOST) or (QUICK if options.quick else SETS)
+    counts = chosen(options, SETS, QUICK, MOST)
     soaks = in_parallel(soak, Soak, list(counts.items()), replace(options, jobs=1))
     return {name: summarise(result) for name, result in zip(counts, soaks, strict=True)}
 

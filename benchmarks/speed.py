@@ -20,7 +20,7 @@ from benchmarks.in_tree import BEAMS, SWEEPS
 from benchmarks.polygon_speed import median_us
 from benchmarks.random_actions import RandomDriver, held
 from benchmarks.stopwatch import timed_stages
-from benchmarks.tables import sections, table, table_of
+from benchmarks.tables import one_table, sections, table, table_of
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig
@@ -67,7 +67,7 @@ def wander(env: MecpEnv, steps: int) -> None:
 def explore(env: MecpEnv, steps: int) -> None:
     """Whole explorations, one after the other, until enough steps are over."""
     goals, seen = GoalActions(env), 0
-    for info, _ in (goal for seed in count() for goal in exploration(goals, seed)):
+    for *_, info in (goal for seed in count() for goal in exploration(goals, seed)):
         seen += info["periods"]
         if seen >= steps:
             return
@@ -135,7 +135,7 @@ def report(figures: Figures) -> str:
             "Steps per second (layout `paper`, 720 beams, one core)": table_of("sweeps, actions", rates, settings),
             "Time per stage, us": table(["stage", *settings], stages),
             "MiniGrid and ir-sim": peers.report(figures["peers"]),
-            "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{crowd_speed.report(figures['crowd'])}",
+            "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{one_table(figures['crowd'])}",
             "720 rays, us (median over poses)": table(["what", "value"], figures["rays"].items()),
             "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(heads, sites),
             "The polygon stage on scans, edge intervals included (median)": table_of(

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.common import Figures, Options
-from benchmarks.tables import summary, table_of
+from benchmarks.tables import summary
 from benchmarks.trees import HERE, in_turns_by_tree, run_in
 
 RUNS, QUICK_RUNS = 3, 1
@@ -34,11 +34,3 @@ def first_start(tree: Path) -> Figures:
 def summarise(runs: list[Figures]) -> Figures:
     """Mean times with intervals; the number of files is the same in every run, or else the largest counts."""
     return summary(runs, ("cpu_s", "wall_s")) | {"cache_files": max(run["cache_files"] for run in runs)}
-
-
-def report(figures: Figures) -> str:
-    """One row for each tree."""
-    trees = {HERE: figures}
-    if "against" in figures:
-        trees[figures["against"]["commit"]] = figures["against"]
-    return table_of("tree", ("cpu_s", "wall_s", "cache_files"), trees)

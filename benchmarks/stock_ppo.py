@@ -22,7 +22,6 @@ import numpy as np
 from benchmarks.common import Figures, Options, estimate, steps_per_s
 from benchmarks.process_use import processor_s
 from benchmarks.random_actions import RandomDriver, sample
-from benchmarks.tables import whole_rows
 
 ROOMS = "mecp_env/Rooms-v0"
 MODULE_AND_ID = f"mecp_env:{ROOMS}"  # the processes of SubprocVecEnv import the package first
@@ -109,10 +108,3 @@ def learn(model: Any, actions: int) -> tuple[float, float, float]:
     model.learn(actions, callback=count)
     seconds, steps = time.perf_counter() - start, sum(counts)
     return steps / seconds, (time.process_time() - used) / steps, (processor_s(others) - before) / steps
-
-
-def report(figures: Figures) -> str:
-    """One row per case."""
-    heads = ["observation, actions, environments", "steps per second, including learning", "single environment"]
-    heads += ["ratio", "CPU ms per step: learner", "environments", "steps per second of two idle cores"]
-    return whole_rows(heads, figures)

@@ -24,7 +24,7 @@ from benchmarks.drives import Drive, replay
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.rough_pose import COLUMNS, front_end, named, right_share
-from benchmarks.tables import by_row, columns_of, sections, summary, table_of, turned
+from benchmarks.tables import by_row, columns_of, summary
 from benchmarks.variants import DEFAULT, with_change
 from mecp_env.slam import SlamConfig, config
 from mecp_env.slam.mecp import find_structure
@@ -95,16 +95,3 @@ def of_rough(runs: list[Any], base: list[Any]) -> Figures:
         gained = right_share(own) - right_share(usual)
         figures[f"{variant}, {sigma}"] = summary(own, COLUMNS) | {"right_minus_mecp": estimate(gained)}
     return figures
-
-
-def report(figures: Figures) -> str:
-    """Per layout the tables of both parts."""
-    parts = {}
-    columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
-    for layout, rows in figures["closed"].items():
-        parts[f"{layout}, closed loop"] = turned(rows)
-        rough = figures["rough"].get(layout, {})
-        cells = {f"{name}: {cell}": row for name, of in rough.items() for cell, row in of.items()}
-        if cells:
-            parts[f"{layout}, rough pose"] = table_of("structure: associator, sigma", columns, cells)
-    return sections(parts)

@@ -61,12 +61,11 @@ def checked(policies: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(policies))
 
 
-def buildings_of(options: Options, settings: Iterable[str], each: int) -> dict[str, int]:
+def buildings_of(options: Options, settings: Iterable[str], each: int) -> Mapping[str, int]:
     """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
     if options.buildings > MOST:
         raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
-    counts = dict.fromkeys(settings, options.buildings or each)
-    return chosen(options.sets, counts, MOST) or counts
+    return chosen(options, dict.fromkeys(settings, options.buildings or each), most=MOST)
 
 
 def rows_of(evaluations: Mapping[str, Evaluation], options: Options) -> dict[str, list[Row]]:

@@ -8,6 +8,7 @@ import pytest
 
 from benchmarks import against, in_tree, start, trees
 from benchmarks.common import Options
+from benchmarks.tables import report_of
 from benchmarks.trees import WORKING_TREE, TreeError, run_in
 from mecp_env.planning.breadth_first import BreadthFirst
 
@@ -66,7 +67,7 @@ def test_the_first_start_counts_the_files_of_an_empty_cache_and_what_fails_is_na
     figures = start.run(Options(quick=True))
     assert figures["cache_files"] == 1
     assert figures["cpu_s"]["value"] > 0.0
-    assert "| working tree |" in start.report(figures)
+    assert "| cache_files | 1 |" in report_of(figures)
     script.write_text("raise SystemExit('no such layout')")
     with pytest.raises(TreeError, match=r"(?s)script.py ended with exit code 1\nno such layout"):
         run_in(WORKING_TREE, "start")

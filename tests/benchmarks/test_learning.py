@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.tables import flatten
+from benchmarks.tables import flatten, report_of
 from tests.learning.training import QUICK
 
 pytest.importorskip("sb3_contrib")
@@ -18,4 +18,4 @@ def test_a_round_compares_a_training_with_its_own_environment(algorithm: str) ->
     assert figures["steps_per_s"]["value"] > 0.0
     assert 0.0 < figures["waiting"]["value"] < 1.0
     assert f"{algorithm}/over_single" in flatten({algorithm: figures})
-    assert f"| {algorithm} |" in learning.report({algorithm: figures})
+    assert f"| {algorithm} |" in report_of({algorithm: figures})

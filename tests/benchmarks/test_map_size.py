@@ -8,6 +8,7 @@ import pytest
 from benchmarks import loop, map_size
 from benchmarks.common import Options
 from benchmarks.drives import Drive
+from benchmarks.tables import report_of
 from benchmarks.variants import associators
 from mecp_env.core.intervals import estimate
 from mecp_env.slam.config import KINDS
@@ -41,7 +42,7 @@ def test_every_registered_part_has_a_row(monkeypatch: pytest.MonkeyPatch, tmp_pa
     assert list(figures["filters"]) == [*KINDS.ours, *KINDS.others]
     assert set(figures["associators"]) == set(associators()) - {"known"}
     assert figures["filters"]["ekf"] == {"25": estimate([1.0, 2.0]), "50": estimate([1.0, 2.0])}
-    assert "| riekf_submaps |" in map_size.report(figures)
+    assert "| riekf_submaps |" in report_of(figures)
     assert [axes.get_title() for axes in map_size.figure(figures).axes] == ["filters", "associators"]
 
 

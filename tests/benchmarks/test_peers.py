@@ -29,7 +29,7 @@ def test_our_speed_is_divided_by_that_of_the_peer(monkeypatch: pytest.MonkeyPatc
         for values in figures["ir-sim"][sweeps].values():
             assert values["ratio"]["value"] == pytest.approx(expected)
             assert values["peer_steps_per_s"] == pytest.approx(1000.0)
-    assert peers.report(figures).count("| ir-sim |") == 4
+    assert peers.report(figures).count("| ir-sim, K=") == 4
     faces = sum(len(part["shape"]["vertices"]) - 1 for part in peers.world()["obstacle"])
     assert faces == 98  # the walls of the layout
 

@@ -23,6 +23,3 @@ def test_a_page_is_timed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Non
     first, rate = replay.show(tmp_path / "episode-0000.html")
     assert 0.0 < first < 60.0
     assert rate > 0.0
-    assert "| 20 | 50 | 0.3 | 55 |" in replay.report(
-        {"steps": 20, "page_kb": 50.0, "first_frame_s": 0.3, "frames_per_s": 55.0}
-    )

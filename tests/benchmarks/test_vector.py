@@ -3,6 +3,7 @@
 import pytest
 
 from benchmarks import vector, vector_step
+from benchmarks.tables import report_of
 
 
 def test_every_kind_has_ratios_within_a_round_and_its_cost(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -13,7 +14,7 @@ def test_every_kind_has_ratios_within_a_round_and_its_cost(monkeypatch: pytest.M
     assert kinds["single"]["over_single"]["value"] == 1.0
     assert kinds["batch"]["over_async"]["n"] == 2
     assert min(kind["processor_us"]["value"] for kind in kinds.values()) > 0.0
-    assert "| batch, send, recv |" in vector.report({"velocity": kinds})
+    assert "| batch, send, recv |" in report_of({"velocity": kinds})
 
 
 @pytest.mark.slow
@@ -28,4 +29,4 @@ def test_every_count_has_gymnasiums_figure_and_its_ratio() -> None:
     assert kinds[vector_step.SINGLE]["over_single"]["value"] == 1.0
     assert kinds["batch of 3"]["steps_per_s"]["n"] == 2
     assert kinds["batch of 3"]["steps_per_s"]["value"] > kinds["batch of 3"]["over_single"]["value"] > 0.0
-    assert "| batch of 3 |" in vector_step.report({"velocity": kinds})
+    assert "| batch of 3 |" in report_of({"velocity": kinds})
