@@ -18,7 +18,7 @@ the test split, from number 500 on; the benchmark `worlds` uses those before. Ti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -30,7 +30,7 @@ from benchmarks.kiss import PACKAGE
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
 from benchmarks.rough_pose import COLUMNS, Sigma, count_scans, drawn_looks, finish, named
-from benchmarks.tables import by_row, sections, summary, table
+from benchmarks.tables import by_row, sections, summaries, table
 from benchmarks.variants import DEFAULT, KISS, Variant, own_rows, rows_of
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -65,11 +65,11 @@ def compare(
     drive_of: tuple[str, int],
     records: Records = IN_MEMORY,
     scans: int = SCANS,
-    variants: Sequence[str] | None = None,
+    variants: Mapping[str, Variant] | None = None,
     sigmas: Sequence[Sigma] = SIGMAS,
 ) -> dict[str, dict[str, Figures]]:
     """Counts of some variants, by default all, and sigmas on scans of the drive of one layout and seed."""
-    return on_drive(records.drive(course(*drive_of)), scans, drive_of[1], variants or tuple(all_variants()), sigmas)
+    return on_drive(records.drive(course(*drive_of)), scans, drive_of[1], variants or all_variants(), sigmas)
 
 
 def all_variants() -> dict[str, Variant]:
@@ -78,20 +78,18 @@ def all_variants() -> dict[str, Variant]:
 
 
 def on_drive(
-    drive: Drive, count: int, seed: int, variants: Sequence[str], sigmas: Sequence[Sigma]
+    drive: Drive, count: int, seed: int, variants: Mapping[str, Variant], sigmas: Sequence[Sigma]
 ) -> dict[str, dict[str, Figures]]:
     """Counts of some variants and sigmas on `count` scans of a drive, drawn by the seed."""
     finished, rng = finish(drive), np.random.default_rng(seed)
     looks = drawn_looks(drive, finished, count, rng)
-    errors = rng.normal(size=(len(SIGMAS), count, 3))
+    errors = dict(zip(SIGMAS, rng.normal(size=(len(SIGMAS), count, 3)), strict=True))
     return {
         name: {
-            named(sigma): count_scans(finished, variant.associator(drive.slam), looks, sigma, errors[k])
-            for k, sigma in enumerate(SIGMAS)
-            if sigma in sigmas
+            named(sigma): count_scans(finished, variant.associator(drive.slam), looks, sigma, errors[sigma])
+            for sigma in sigmas
         }
-        for name, variant in all_variants().items()
-        if name in variants
+        for name, variant in variants.items()
     }
 
 
@@ -103,7 +101,7 @@ def course(layout: str, seed: int) -> Course:
 def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
     """Results of all drives of a set, with 95 % intervals over drives."""
     rows = by_row(drives)  # the package of a row may not be installed everywhere
-    return {name: {sigma: summary(of, COLUMNS) for sigma, of in by_row(own).items()} for name, own in rows.items()}
+    return {name: summaries(by_row(own), COLUMNS) for name, own in rows.items()}
 
 
 def report(figures: Figures) -> str:

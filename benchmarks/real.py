@@ -142,7 +142,7 @@ def summarise(name: str, parts: Mapping[str, list[Figures]]) -> Figures:
         return {plan: summarise_visits(visits) for plan, visits in (together | dict(parts)).items()}
     (runs,) = parts.values()
     if name == VIEW:
-        return summary(runs, (*noise.COLUMNS, *noise.OF_RANGE, "polygon_share"))
+        return summary(runs, (*noise.COLUMNS, "polygon_share"))
     return summarise_log(runs) if name in LOGS else summarise_visits(runs)
 
 

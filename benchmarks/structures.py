@@ -25,14 +25,14 @@ from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
 from benchmarks.rough_pose import COLUMNS, front_end, named, right_share
 from benchmarks.tables import by_row, columns_of, summary
-from benchmarks.variants import DEFAULT, with_change
+from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.slam import SlamConfig, config
 from mecp_env.slam.mecp import find_structure
 
 SETS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
 ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the second part
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
-VARIANTS = (DEFAULT, "mecp without descriptor")
+VARIANTS = rows_of(DEFAULT, "mecp without descriptor")
 SUMMARY = ("precision", "recall", "duplicates_per_corner", "closure_recall", "events", "rmse_m", "map_rmse_m", "lost")
 OF_POLYGONS = ("by_polygon", "recognised", "unique", "vertices", "area_m2", "us")
 TIMED_SCANS = 25  # of a drive

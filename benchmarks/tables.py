@@ -60,6 +60,11 @@ def summary(runs: Sequence[Mapping[str, Any]], names: Iterable[str]) -> Figures:
     return {name: _figure(columns, name) for name in names}
 
 
+def summaries(rows: Mapping[str, Sequence[Mapping[str, Any]]], names: Iterable[str]) -> dict[str, Figures]:
+    """`summary` of the runs of each row."""
+    return {name: summary(runs, names) for name, runs in rows.items()}
+
+
 def _figure(columns: Mapping[str, Array], name: str) -> Any:
     part, *wholes = RATIOS.get(name, name).replace("/", "+").split("+")
     if wholes and columns.keys() >= {part, *wholes}:
