@@ -24,11 +24,11 @@ from benchmarks.common import Figures, Options, estimate, in_parallel
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.rough_pose import Look, decided, front_end, rough_view
+from benchmarks.rough_pose import Look, decided, polygons_of, rough_view
 from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.config import KINDS, SlamConfig
-from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import MapPolygon
 from mecp_env.slam.pipeline import SlamPipeline
 
@@ -74,11 +74,10 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     associator = associators()[name].associator(drive.slam)
     rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
     for number in range(first, first + SCANS):
-        corners, beams, wall = front_end(drive.scans[number], drive.slam)
-        corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
-        polygons = find_structure(corners, beams, drive.slam.polygon, wall)
-        unknown = np.full(len(corners), -1)
-        seen = Look(corners, polygons, unknown, compose(T_map_world, drive.T_world_robot[number]))
+        plain = front_end(drive.scans[number], drive.slam)
+        found = plain.with_corners(cluttered(plain.corners, plain.beams, 1.0, SPURIOUS, rng))
+        unknown, T_map_robot = np.full(len(found.corners), -1), compose(T_map_world, drive.T_world_robot[number])
+        seen = Look(found.corners, polygons_of(found, drive.slam), unknown, T_map_robot)
         ms.append(decided(associator, seen, *rough_view(pipeline, seen, SIGMA, rng.normal(size=3)), CALLS)[1])
     return ms
 

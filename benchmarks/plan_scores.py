@@ -45,9 +45,8 @@ def room_pixels(layout: Layout, shape: tuple[int, int], resolution_m: float) -> 
 
 def overlaps(found: NDArray[np.int32], labels: NDArray[np.int32]) -> Array:
     """IoU (f+1,l+1) of every room of `found` with every label, each (h,w); row and column 0 are no rooms."""
-    count = int(labels.max()) + 1
-    pairs = np.bincount((found.astype(np.int64) * count + labels).ravel(), minlength=(int(found.max()) + 1) * count)
-    shared = pairs.reshape(-1, count).astype(np.float64)
+    numbers = [np.arange(int(image.max()) + 2) for image in (found, labels)]
+    shared = np.histogram2d(found.ravel(), labels.ravel(), numbers)[0]
     union = shared.sum(axis=1)[:, None] + shared.sum(axis=0) - shared
     iou: Array = shared / np.maximum(union, 1.0)
     iou[0], iou[:, 0] = 0.0, 0.0

@@ -22,7 +22,7 @@ import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Options, chosen, in_parallel, ratio, show_progress
-from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
+from benchmarks.process_use import OWN, memory_mb, open_files, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
 from benchmarks.tables import columns_of, listed, turned
 
@@ -106,7 +106,7 @@ def watch(driver: Any, pids: list[Any], steps: int, watched: Soak) -> dict[str, 
     memory = []
     for _ in range(SAMPLES):
         counted += drive(driver, max(steps // SAMPLES, 1), watched)
-        memory.append(own_memory_mb(pids))
+        memory.append(memory_mb(pids, OWN))
     used = {"seconds": time.perf_counter() - start, "processor_s": processor_s(pids) - spent}
     used |= {"steps": counted, "episodes": driver.episodes - episodes, "memory_mb": float(np.mean(memory))}
     return used | {"files": open_files(pids), "segments": shared_segments(pids)}

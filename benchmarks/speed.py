@@ -20,7 +20,7 @@ from benchmarks.in_tree import BEAMS, SWEEPS
 from benchmarks.polygon_speed import median_us
 from benchmarks.random_actions import RandomDriver, held
 from benchmarks.stopwatch import timed_stages
-from benchmarks.tables import one_table, sections, table, table_of
+from benchmarks.tables import all_figures, one_table, sections, table_of, turned
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig
@@ -126,20 +126,15 @@ def brute_force(outline: Outline, T_world_robot: Array) -> Array:
 def report(figures: Figures) -> str:
     """Tables: steps per second, time per stage, rays, polygons."""
     settings = {f"{k}, {actions}": of for k, both in figures["env"].items() for actions, of in both.items()}
-    stages = [(stage, *(of["us"][stage] for of in settings.values())) for stage in next(iter(settings.values()))["us"]]
-    kernel = figures["polygon"]["kernel"]
-    sites = [(n, *(kernel[kind][n] for kind in ("uniform", "convex"))) for n in kernel["uniform"]]
-    rates, heads = ("steps_per_s", "with_driver_per_s"), ["sites", "uniform", "convex position"]
+    polygon, rates = figures["polygon"], ("steps_per_s", "with_driver_per_s")
     return sections(
         {
             "Steps per second (layout `paper`, 720 beams, one core)": table_of("sweeps, actions", rates, settings),
-            "Time per stage, us": table(["stage", *settings], stages),
+            "Time per stage, us": turned({name: of["us"] for name, of in settings.items()}),
             "MiniGrid and ir-sim": peers.report(figures["peers"]),
             "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{one_table(figures['crowd'])}",
-            "720 rays, us (median over poses)": table(["what", "value"], figures["rays"].items()),
-            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(heads, sites),
-            "The polygon stage on scans, edge intervals included (median)": table_of(
-                "layout", ("sites", "stage_us"), figures["polygon"]["scans"]
-            ),
+            "720 rays, us (median over poses)": all_figures(figures["rays"]),
+            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": turned(polygon["kernel"]),
+            "The polygon stage on scans, edge intervals included (median)": one_table(polygon["scans"]),
         }
     )

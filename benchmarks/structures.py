@@ -23,11 +23,11 @@ from benchmarks.common import Figures, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import COLUMNS, front_end, named, right_share
+from benchmarks.rough_pose import COLUMNS, named, polygons_of, right_share
 from benchmarks.tables import by_row, columns_of, summary
 from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.slam import SlamConfig, config
-from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.frontend import front_end
 
 SETS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
 ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the second part
@@ -70,7 +70,7 @@ def time_us(drive: Drive, slam: SlamConfig) -> float:
     """Microseconds of one call, the median over scans of a drive."""
     scans = drive.scans[:: max(len(drive.scans) // TIMED_SCANS, 1)]
     fronts = [front_end(scan, slam) for scan in scans]
-    return median_us(lambda seen: find_structure(seen[0], seen[1], slam.polygon, seen[2]), fronts, repeats=5)
+    return median_us(lambda found: polygons_of(found, slam), fronts, repeats=5)
 
 
 def of_closed(runs: list[Figures], base: list[Figures]) -> Figures:

@@ -111,11 +111,6 @@ def turned(settings: Rows, titles: Sequence[str] = ()) -> str:
     return table(["", *(titles or settings)], rows)
 
 
-def whole_rows(heads: Sequence[str], rows: Rows) -> str:
-    """A table with all figures of each named row, below the given headings."""
-    return table(heads, [(name, *row.values()) for name, row in rows.items()])
-
-
 def report_of(figures: Mapping[str, Any]) -> str:
     """Tables of nested figures: a row for each path of names, in a section named by all but the last of them."""
     if any(map(is_figure, figures.values())):

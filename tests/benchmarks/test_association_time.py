@@ -5,7 +5,8 @@ import pytest
 
 from benchmarks import association_time as benchmark
 from benchmarks.drives import Drive
-from benchmarks.rough_pose import finish, front_end, look
+from benchmarks.rough_pose import finish, look
+from mecp_env.slam.frontend import front_end
 from tests.benchmarks.test_loop import drive  # noqa: F401  (a fixture)
 
 
@@ -28,7 +29,8 @@ def test_every_associator_decides_on_the_same_scans(monkeypatch: pytest.MonkeyPa
 
 def test_spurious_corners_are_in_front_of_what_was_hit_and_vertices_are_kept_first(drive: Drive) -> None:  # noqa: F811
     rng = np.random.default_rng(0)
-    corners, beams, _ = front_end(drive.scans[100], drive.slam)
+    plain = front_end(drive.scans[100], drive.slam)
+    corners, beams = plain.corners, plain.beams
     kept = np.arange(len(corners))[1:]
     dirty, source = benchmark.with_spurious(corners, beams, kept, rng)
     spurious, real = np.flatnonzero(source < 0), np.flatnonzero(source >= 0)

@@ -10,7 +10,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from benchmarks import consistency, known_pairs, ring, victoria_park
-from benchmarks.batch import library, measurement, optimum
+from benchmarks.batch import measurement, optimum
 from benchmarks.common import OptionError, Options, shared_data
 from benchmarks.known_pairs import Motion, Record, Sighting, filtered, turned
 from mecp_env.core.se2 import compose, inverse
@@ -137,7 +137,7 @@ def test_a_missing_gtsam_and_a_missing_log_are_named(monkeypatch: pytest.MonkeyP
         victoria_park.run(Options())
     monkeypatch.setitem(sys.modules, "gtsam", None)
     with pytest.raises(OptionError, match=r"needs GTSAM: pip install -e '.\[lab\]'"):
-        library()
+        optimum(Record(np.zeros(3), np.eye(3), [], []), np.zeros((1, 3)), np.empty(0, np.int64), np.empty((0, 2)))
 
 
 @needs_gtsam

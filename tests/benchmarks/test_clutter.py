@@ -10,11 +10,11 @@ from benchmarks import clutter
 from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.drives import Drive, replay
 from benchmarks.records import Course
-from benchmarks.rough_pose import front_end
 from benchmarks.variants import associating, associators
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
 
 
@@ -25,7 +25,8 @@ def drive() -> Drive:
 
 @pytest.fixture(scope="module")
 def scans(drive: Drive) -> list[tuple[Corners, MergedScan]]:
-    return [front_end(scan, drive.slam)[:2] for scan in drive.scans]
+    found = [front_end(scan, drive.slam) for scan in drive.scans]
+    return [(features.corners, features.beams) for features in found]
 
 
 def test_no_clutter_is_the_estimator_itself_to_the_bit(drive: Drive) -> None:
