@@ -56,11 +56,6 @@ def run(options: Options) -> Figures:
     }
 
 
-def methods() -> dict[str, Variant]:
-    """The rows of the table, with those of parts that modules register."""
-    return METHODS | own_rows()
-
-
 def course(layout: str, seed: int) -> Course:
     """What is driven."""
     if layout == IDEAL:
@@ -71,7 +66,7 @@ def course(layout: str, seed: int) -> Course:
 
 def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    return counted(records.drive(course(*drive_of)), methods())
+    return counted(records.drive(course(*drive_of)), METHODS | own_rows())
 
 
 def counted(drive: Drive, rows: Mapping[str, Variant]) -> dict[str, Figures]:
@@ -121,15 +116,12 @@ def closures(drive: Drive, log: AssociationLog, rooms: Ints, pairs: Sequence[Any
         returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
         last_visit[room] = i
         window = (step > i) & (step <= i + WITHIN_SCANS) & (room_of == room)
-        if returned and mapped_before(log, np.unique(true[window & (true >= 0)]), i) >= 2:
+        seen = np.unique(true[window & (true >= 0)])
+        mapped = np.intersect1d(seen, log.features[log.features[:, 1] < i, 0])
+        if returned and len(mapped) >= 2:
             right = window & (claimed >= 0) & ~wrong
             events.append((int(right.sum()), int((window & wrong).sum())))
     return events
-
-
-def mapped_before(log: AssociationLog, corners: Ints, step: int) -> int:
-    """How many of the true corners had a landmark before `step`."""
-    return sum(bool((log.features[log.features[:, 0] == corner, 1] < step).any()) for corner in corners.tolist())
 
 
 def across_a_wall(drive: Drive, true: Ints, claimed: Ints) -> int:

@@ -216,7 +216,8 @@ def machine() -> dict[str, str]:
 
 
 def page_of(content: Figures, module: Any, picture: str = "") -> str:
-    """The page of a result: its origin, what the benchmark measures, its report or all figures in one table."""
+    """The page of a result: its origin, what the benchmark measures, its report or all figures, its faults."""
+    faults = module.faults(content["figures"]) if hasattr(module, "faults") else None
     machine = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
     workload = f"calibration workload {content['calibration_ms']:.2f} ms"
     parts = [
@@ -224,6 +225,7 @@ def page_of(content: Figures, module: Any, picture: str = "") -> str:
         f"{content['date']}, `{content['command']}`; {machine}; {workload}.",
         (module.__doc__ or "").strip(),
         getattr(module, "report", report_of)(content["figures"]),
+        "" if faults is None else "\n".join(f"- {fault}" for fault in faults) or "No faults.",
         f"![{content['benchmark']}]({picture})" if picture and hasattr(module, "figure") else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"

@@ -22,7 +22,6 @@ import numpy as np
 import mecp_env
 from benchmarks.common import Figures, Options, in_parallel
 from benchmarks.random_actions import goal, sample, velocity
-from benchmarks.tables import all_figures, listed
 from benchmarks.worlds import PIXEL_M, plans_at_hand
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline
@@ -159,9 +158,3 @@ def same(first: Any, second: Any) -> bool:
 def faults(figures: Figures) -> list[str]:
     """The failures."""
     return list(figures["failures"].values())
-
-
-def report(figures: Figures) -> str:
-    """The counts, and every failure."""
-    found = listed(faults(figures), "All came back to the bit.")
-    return f"{all_figures(figures['all'])}\n\n{found}"

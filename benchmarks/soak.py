@@ -24,7 +24,7 @@ import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Options, chosen, in_parallel, ratio, show_progress
 from benchmarks.process_use import OWN, memory_mb, open_files, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
-from benchmarks.tables import columns_of, listed, turned
+from benchmarks.tables import columns_of
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16
 SETTING: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 200}
@@ -157,8 +157,3 @@ def faults(figures: Figures) -> list[str]:
         found += [f"{name}: {key} {least[key]:.4g}, at most {BOUNDS[key]:g}" for key in over]
         found += [f"{name}: no episode ended"] * (not values["episodes"])
     return found
-
-
-def report(figures: Figures) -> str:
-    """One column per set."""
-    return f"{turned(figures)}\n\n{listed(faults(figures), 'All within their bounds.')}"

@@ -57,13 +57,11 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     drive, found = records.drive((loop if kind == "rough" else association).course(layout, seed)), Figures()
     for name in (*config.STRUCTURE_NAMES.ours, *config.STRUCTURE_NAMES.others):
         own = replace(drive, slam=with_change(drive.slam, {"polygon": {"structure": name}}))
-        found[name] = loop.on_drive(own, loop.SCANS, seed, VARIANTS, SIGMAS) if kind == "rough" else closed_loop(own)
+        if kind == "rough":
+            found[name] = loop.on_drive(own, loop.SCANS, seed, VARIANTS, SIGMAS)
+        else:
+            found[name] = association.counts(own, replay(own, own.slam)) | {"us": time_us(own, own.slam)}
     return found
-
-
-def closed_loop(drive: Drive) -> Figures:
-    """Counts of one drive."""
-    return {**association.counts(drive, replay(drive, drive.slam)), "us": time_us(drive, drive.slam)}
 
 
 def time_us(drive: Drive, slam: SlamConfig) -> float:

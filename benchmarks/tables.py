@@ -161,11 +161,6 @@ def sections(bodies: Mapping[str, str]) -> str:
     return "\n\n".join(f"## {title}\n\n{body}" for title, body in bodies.items())
 
 
-def listed(lines: Sequence[str], none: str) -> str:
-    """Lines as a list; `none` without any."""
-    return "\n".join(f"- {line}" for line in lines) or none
-
-
 def readable(figure: object) -> str:
     """A figure as text: an estimate as `value [low, high]`."""
     if isinstance(figure, dict):

@@ -34,7 +34,6 @@ def watched(**changes: Any) -> soak.Soak:
 def test_what_exceeds_a_bound_is_named(changes: dict[str, Any], fault: str) -> None:
     figures = {"vector": soak.summarise(watched(**changes))}
     assert soak.faults(figures) == ([f"vector: {fault}"] if fault else [])
-    assert (fault or "within their bounds") in soak.report(figures)
 
 
 @pytest.mark.slow
