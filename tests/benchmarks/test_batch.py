@@ -157,27 +157,6 @@ def test_victoria_park_as_it_is_known() -> None:
     assert figures["filters"]["ekf"]["once"]["landmark_rms_m"] > 10.0
 
 
-@pytest.fixture
-def small(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(consistency, "LAYOUT", "two_rooms")
-    monkeypatch.setattr(consistency, "SETS", {"per_metre": 2, "skid_steer": 1})
-
-
-@needs_gtsam
-def test_every_filter_gets_the_same_drive(small: None, tmp_path: Path) -> None:
-    figures = consistency.run(Options(folder=tmp_path))
-    assert set(figures["per_metre"]) >= {"batch", "riekf", "riekf_submaps", "ekf", "fej"}
-    riekf, submaps = figures["per_metre"]["riekf"], figures["per_metre"]["riekf_submaps"]
-    assert riekf["nees"]["n"] == 2
-    assert riekf["nees"]["value"] == pytest.approx(submaps["nees"]["value"], rel=1e-6)
-    assert riekf["nees_minus_riekf"]["value"] == 0.0
-    assert 0.7 < riekf["over_batch"]["value"] < 2.0
-    assert riekf["sigma_over_batch"]["value"] == pytest.approx(1.0, abs=0.05)
-    assert figures["per_metre"]["batch"]["over_batch"]["value"] == 1.0
-    assert 0.5 < figures["per_metre"]["batch"]["chi2_over_freedom"]["value"] < 1.5
-    assert "## skid_steer (1 drives)" in consistency.report(figures)
-
-
 def test_only_steps_with_slip_are_allowed_more() -> None:
     assert consistency.band(60) == (pytest.approx(2.41, abs=0.01), pytest.approx(3.65, abs=0.01))
     motion = Motion(make.odometry((1.0, 0.0)), np.array([1.0, 0.0, 0.0]), np.eye(3) * 1e-4)
