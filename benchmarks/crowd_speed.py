@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.common import Figures, estimate
 from benchmarks.drives import exploration
-from benchmarks.random_actions import RandomDriver, held
+from benchmarks.random_actions import wander
 from benchmarks.stopwatch import timed_stages
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import GeneratorSpec, split_seed
@@ -63,9 +63,7 @@ def block(setting: str, actions: str, turn: int) -> tuple[float, float]:
     env = MecpEnv(layout=layout, start="random", max_steps=MAX_STEPS, **moving)
     with timed_stages(each=False) as watch:
         if actions == "random":
-            driver = RandomDriver(env, held(turn + 1), turn + 1)
-            for _ in range(RANDOM_STEPS):
-                driver.step()
+            wander(env, RANDOM_STEPS, turn + 1)
         else:
             for _ in exploration(GoalActions(env), turn + 1):
                 pass

@@ -125,26 +125,21 @@ def drive(driver: Any, steps: int, watched: Soak, least: int = 0) -> int:
 
 def summarise(soak: Soak) -> Figures:
     """The figures of a run: first and last tenth, and what must be none."""
-    of, tenths = columns_of(soak.slices), (slice(0, TENTH), slice(-TENTH, None))
-    first, last = tenths
-    memory = [float(of["memory_mb"][tenth].mean()) for tenth in tenths]
-    files, segments = ([int(of[name][tenth].max()) for tenth in tenths] for name in ("files", "segments"))
-    rate = [float(of["steps"][tenth].sum() / of["seconds"][tenth].sum()) for tenth in tenths]
-    per_step = of["processor_s"] / of["steps"]
+    first, last = columns_of(soak.slices[:TENTH]), columns_of(soak.slices[-TENTH:])
     return {
-        "steps": int(of["steps"].sum()),
-        "episodes": int(of["episodes"].sum()),
-        "memory_mb": memory[1],
-        "growth_mb": memory[1] - memory[0],
-        "files": files[1],
-        "more_files": files[1] - files[0],
-        "segments": segments[1],
-        "more_segments": segments[1] - segments[0],
+        "steps": int(sum(used["steps"] for used in soak.slices)),
+        "episodes": int(sum(used["episodes"] for used in soak.slices)),
+        "memory_mb": float(last["memory_mb"].mean()),
+        "growth_mb": float(last["memory_mb"].mean() - first["memory_mb"].mean()),
+        "files": int(last["files"].max()),
+        "more_files": int(last["files"].max() - first["files"].max()),
+        "segments": int(last["segments"].max()),
+        "more_segments": int(last["segments"].max() - first["segments"].max()),
         "wrong_observations": soak.wrong,
         "left_behind": soak.left_behind,
-        "steps_per_s_first": rate[0],
-        "steps_per_s_last": rate[1],
-        "processor_time_last_over_first": ratio(per_step[last], per_step[first]),
+        "steps_per_s_first": float(first["steps"].sum() / first["seconds"].sum()),
+        "steps_per_s_last": float(last["steps"].sum() / last["seconds"].sum()),
+        "processor_time_last_over_first": ratio(*(of["processor_s"] / of["steps"] for of in (last, first))),
     }
 
 

@@ -18,7 +18,7 @@ from benchmarks.common import Figures, Options
 from benchmarks.drives import exploration
 from benchmarks.in_tree import BEAMS, SWEEPS
 from benchmarks.polygon_speed import median_us
-from benchmarks.random_actions import RandomDriver, held
+from benchmarks.random_actions import wander
 from benchmarks.stopwatch import timed_stages
 from benchmarks.tables import all_figures, one_table, sections, table_of, turned
 from mecp_env.core.carriers import Array
@@ -55,13 +55,6 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
         drive(env, steps)
     with_driver = watch.steps / (watch.seconds["step"] + watch.seconds["drive"])  # with planner and controller
     return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver, "us": stages.microseconds()}
-
-
-def wander(env: MecpEnv, steps: int) -> None:
-    """Random velocities."""
-    driver = RandomDriver(env, held())
-    for _ in range(steps):
-        driver.step()
 
 
 def explore(env: MecpEnv, steps: int) -> None:
