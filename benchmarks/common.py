@@ -22,7 +22,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
 from benchmarks.tables import flatten, readable, report_of
@@ -205,13 +204,12 @@ def machine() -> dict[str, str]:
     """The machine and versions of a measurement."""
     cpuinfo = Path("/proc/cpuinfo")
     model = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.is_file() else None
+    versions = dependencies()
     return {
         "processor": model[1].strip() if model else platform.processor() or "unknown",
         "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "numba": numba.__version__,
-        "numpy": np.__version__,
+        "system": versions["machine"],
+        **{name: versions[name] for name in ("python", "numba", "numpy")},
     }
 
 

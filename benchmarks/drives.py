@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import mannwhitneyu
 
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array
@@ -243,9 +244,9 @@ def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
 
 def roc_area(confidence: Array, error_m: Array) -> float:
     """Probability that a scan with a small error has more confidence than one with a large error; ties count half."""
-    right, wrong = (np.sort(confidence[mask]) for mask in (error_m < WRONG_M, error_m >= WRONG_M))
-    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
-    return float(below.sum() / (2.0 * len(right) * len(wrong))) if len(right) and len(wrong) else math.nan
+    right, wrong = (confidence[mask] for mask in (error_m < WRONG_M, error_m >= WRONG_M))
+    pairs = len(right) * len(wrong)
+    return float(mannwhitneyu(right, wrong).statistic / pairs) if pairs else math.nan
 
 
 def calibration_error(confidence: Array, error_m: Array) -> float:
