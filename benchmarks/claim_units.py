@@ -46,7 +46,7 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     if kind == "scans":
         return of_scans(layout, number)
     if kind == "loop":
-        return loop.compare((layout, number), records, loop.SCANS, VARIANTS, SIGMAS)
+        return loop.on_drive(records.drive(loop.course(layout, number)), loop.SCANS, number, VARIANTS, SIGMAS)
     drive = records.drive(association.course(layout, number))
     methods = association.counted(drive, METHODS)
     if kind == "ideal":  # only the filter is told of noise
