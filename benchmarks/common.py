@@ -25,6 +25,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.tables import flatten, readable, report_of
+from mecp_env.cli.base import tracked
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
@@ -108,10 +109,9 @@ def in_parallel(
     all_units = units if isinstance(units, Mapping) else {" ".join(map(str, unit)): unit for unit in units}
     named = dict(options.shard.part(list(all_units.items())))
     results, errors = dict[str, Any](), list[Exception]()
-    todo, begun = len(named.keys() - kept.found.keys()), time.monotonic()
-    for name, result in run_kept(task, named, kept, options.jobs, options.cluster):
+    finished = run_kept(task, named, kept, options.jobs, options.cluster)
+    for name, result in tracked(finished, len(named), "units"):
         results[name] = result
-        show_progress(len(results) - len(named) + todo, todo, time.monotonic() - begun)
         if isinstance(result, FailedUnit):
             errors.append(result.error)
             print(f"failed: {result}", file=sys.stderr)
@@ -127,13 +127,6 @@ def run_key(options: Options) -> dict[str, Any]:
     own = options.records is None or options.records.parent == options.folder  # made for this run
     records = "" if own else str(options.records)
     return {"--records": records, **checksums(), **dependencies(Path(__file__).parent)}
-
-
-def show_progress(done: int, todo: int, seconds: float) -> None:
-    """One line on stderr, written over the one before on a terminal: units done and time left."""
-    if done > 0:
-        left, end = seconds / done * (todo - done), "\r" if sys.stderr.isatty() and done < todo else "\n"
-        print(f"{done} of {todo} units, {left / 60.0:.1f} min left", end=end, file=sys.stderr, flush=True)
 
 
 def grouped(units: Sequence[tuple[Any, ...]], results: Sequence[Any]) -> dict[Any, list[Any]]:

@@ -21,7 +21,7 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Options, chosen, in_parallel, ratio, show_progress
+from benchmarks.common import Figures, Options, chosen, in_parallel, ratio
 from benchmarks.process_use import OWN, memory_mb, open_files, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
 from benchmarks.tables import columns_of
@@ -86,10 +86,8 @@ def soak(task: tuple[str, int]) -> Soak:
     before = opened(["self"])
     driver, watched, block = driver_of(kind), Soak(), max(steps // SLICES, 1)
     drive(driver, block * TENTH, watched, 2 * getattr(driver.env, "num_envs", 1))
-    pids, begun = ["self", *getattr(driver.env, "pids", ())], time.monotonic()
-    for number in range(SLICES):
-        watched.slices.append(watch(driver, pids, block, watched))
-        show_progress(number + 1, SLICES, time.monotonic() - begun)
+    pids = ["self", *getattr(driver.env, "pids", ())]
+    watched.slices += [watch(driver, pids, block, watched) for _ in range(SLICES)]
     driver.env.close()
     watched.left_behind = max(opened(pids) - before, 0)
     return watched
