@@ -9,6 +9,7 @@ per step in two blocks of the same turn.
 from __future__ import annotations
 
 from functools import cache
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
@@ -16,10 +17,9 @@ import numpy as np
 from benchmarks.common import Figures, estimate
 from benchmarks.drives import exploration
 from benchmarks.random_actions import wander
+from benchmarks.records import Course
 from benchmarks.stopwatch import timed_stages
 from mecp_env.env import MecpEnv
-from mecp_env.world.config import GeneratorSpec, split_seed
-from mecp_env.world.generator import generate
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
@@ -74,9 +74,6 @@ def block(setting: str, actions: str, turn: int) -> tuple[float, float]:
 @cache
 def building(number: int) -> Layout:
     """The generated building of a turn, among those with enough wall faces."""
-    spec, index, found = GeneratorSpec.preset("hard"), -1, -1
-    while found < number:
-        index += 1
-        layout = generate(spec, split_seed("test", index))
-        found += len(build_outline(layout).segments) >= LEAST_FACES
-    return layout
+    layouts = (Course(f"hard:{index}", 0).building() for index in count())
+    large = (layout for layout in layouts if len(build_outline(layout).segments) >= LEAST_FACES)
+    return next(islice(large, number, None))

@@ -28,6 +28,7 @@ from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
 from mecp_env.world.config import DIFFICULTIES, SPLITS
 from mecp_env.world.layout import LIBRARY
+from tests.env.helpers import same
 
 RUNS, QUICK = 1000, 10
 MORE = 3  # steps after a state
@@ -142,17 +143,6 @@ def is_restored(env: Any) -> bool:
         env.save_map(first)
         SlamPipeline.from_map(first).save_map(second)
         return first.read_bytes() == second.read_bytes()
-
-
-def same(first: Any, second: Any) -> bool:
-    """True when all values are equal to the bit, nan too."""
-    if isinstance(first, np.ndarray):
-        return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
-    if isinstance(first, dict):
-        return first.keys() == second.keys() and all(same(first[key], second[key]) for key in first)
-    if isinstance(first, list | tuple):
-        return len(first) == len(second) and all(map(same, first, second))
-    return type(first) is type(second) and repr(first) == repr(second)
 
 
 def faults(figures: Figures) -> list[str]:

@@ -24,14 +24,13 @@ from PIL import Image
 import mecp_env
 from benchmarks.common import Figures, Options, chosen, grouped, in_parallel, shared_data
 from benchmarks.drives import exploration
+from benchmarks.records import Course
 from benchmarks.tables import of_visits, sections, turned
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.policies.setting import words_of
 from mecp_env.registration import make
 from mecp_env.render.screen import map_picture
-from mecp_env.world.config import GeneratorSpec, split_seed
-from mecp_env.world.generator import generate
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
@@ -85,7 +84,7 @@ def plans_at_hand() -> list[Path]:
 def building(setting: str, index: int) -> Layout:
     """The building of a task: of the preset's test split, or a plan, each of which comes `PLAN_STARTS` times."""
     if setting != PLANS:
-        return generate(GeneratorSpec.preset(SETTINGS[setting][0]), split_seed("test", index))
+        return Course(f"{SETTINGS[setting][0]}:{index}", index).building()
     path = plans_at_hand()[index // PLAN_STARTS]
     return load_plan(path, resolution_m=PIXEL_M if path.suffix == ".png" else None)
 
