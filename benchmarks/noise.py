@@ -47,14 +47,15 @@ COLUMNS += ("associate_ms", "far", "phantoms")
 def narrowed(scan: Scan, degrees: float) -> Scan:
     """The scan of a laser with a field of view of so many degrees, ahead."""
     inside = np.abs(scan.bearings[0]) <= np.radians(degrees / 2.0)
-    parts = (np.ascontiguousarray(a[:, inside]) for a in (scan.ranges, scan.bearings, scan.hit))
-    return Scan(*parts, scan.max_range_m)
+    ranges, bearings, hit = (np.ascontiguousarray(a[:, inside]) for a in (scan.ranges, scan.bearings, scan.hit))
+    return Scan(ranges, bearings, hit, scan.max_range_m)
 
 
 def thinned(scan: Scan, every: int) -> Scan:
     """Every n-th beam of a burst in order of bearing, interleaved as before."""
     rings = (a.T.ravel()[every - 1 :: every] for a in (scan.ranges, scan.bearings, scan.hit))
-    return Scan(*(np.ascontiguousarray(ring.reshape(-1, len(scan.ranges)).T) for ring in rings), scan.max_range_m)
+    ranges, bearings, hit = (np.ascontiguousarray(ring.reshape(-1, len(scan.ranges)).T) for ring in rings)
+    return Scan(ranges, bearings, hit, scan.max_range_m)
 
 
 def rescanned(drive: Drive, seed: int, cut: Callable[[Scan], Scan]) -> Drive:
