@@ -135,8 +135,8 @@ def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
         yield f"--sets: {given.name} is measured whole"
     part = [option for option in ("against", "quick", "sets") if asked[option] and given.gate]
     yield from (f"--{option}: not with --gate, which compares the whole" for option in part)
-    if given.jobs < 1 or given.buildings < 0:
-        yield f"--jobs {given.jobs}, --buildings {given.buildings}: expected at least 1"
+    too_few = {"jobs": given.jobs < 1, "buildings": given.buildings < 0}
+    yield from (f"--{option} {asked[option]}: expected at least 1" for option in too_few if too_few[option])
     if given.cluster and given.jobs != 1:
         yield f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
     if given.records and given.records.is_file():

@@ -1,9 +1,9 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It may have `report(figures) -> str`, tables in Markdown, `figure(figures)`, a figure of matplotlib that is saved as PNG
-beside them, `pictures(options)`, figures by name that are saved as PNG and SVG in a folder beside them, and
-`faults(figures) -> list[str]`, what exceeds its bound.
+It may have `report(figures) -> str`, tables in Markdown, where `tables.report_of` does not make them from the names of
+the figures; `figure(figures)`, a figure of matplotlib that is saved as PNG beside them; `pictures(options)`, figures by
+name that are saved as PNG and SVG in a folder beside them; and `faults(figures) -> list[str]`, what exceeds its bound.
 """
 
 from __future__ import annotations
