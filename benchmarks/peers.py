@@ -13,6 +13,7 @@ import math
 import sys
 import tempfile
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -107,14 +108,11 @@ def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
     blocks: dict[Any, Any] = {name: partial(peer(name).seconds_per_step, BLOCK[name]) for name in there}
     blocks |= {(k, kind): partial(ours(k, kind).seconds_per_step, BLOCK[kind]) for k in sweeps for kind in ACTIONS}
     s = in_rounds(blocks, turns)
-    return {
-        name: {f"K={k}": {kind: compared(s[k, kind], s[name]) for kind in ACTIONS} for k in sweeps} for name in there
-    }
-
-
-def compared(ours: Array, theirs: Array) -> Figures:
-    """Our steps per second over the peer's, and both, from the seconds per step in each turn."""
-    return {"ratio": ratio(theirs, ours), "steps_per_s": 1.0 / ours.mean(), "peer_steps_per_s": 1.0 / theirs.mean()}
+    figures: Figures = {name: {f"K={k}": {} for k in sweeps} for name in there}
+    for name, k, kind in product(there, sweeps, ACTIONS):
+        speeds = {"steps_per_s": 1.0 / s[k, kind].mean(), "peer_steps_per_s": 1.0 / s[name].mean()}
+        figures[name][f"K={k}"][kind] = {"ratio": ratio(s[name], s[k, kind])} | speeds
+    return figures
 
 
 def report(figures: Figures) -> str:

@@ -105,7 +105,7 @@ def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
     """The figures of one unit of work."""
     name, what, seed = task
     if name == PLANS:
-        return score_plan(plans()[what])._asdict()
+        return score_plan(plans()[what])
     if name in LOGS:
         return map_log(name, seed, None if what == "all" else int(what))
     if name == VIEW:

@@ -65,7 +65,7 @@ def map_log(name: str, seed: int, scans: int | None = None) -> Figures:
         return run.metrics()
     rows, raw = np.searchsorted(run.log.t, run.t), run.log.T_odom_robot
     odometry = run.T_odom_robot if raw is None else raw[rows]  # made of the reference path, or that of the log
-    return run.metrics() | karto.figures(run.log, rows, karto.run(run.log, rows, odometry))
+    return run.metrics() | karto.figures(run.log, rows, odometry)
 
 
 def summarise(runs: list[dict[str, Any]]) -> Figures:

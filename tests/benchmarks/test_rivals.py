@@ -45,5 +45,5 @@ def test_openkarto_corrects_a_drifting_odometry() -> None:
     t, laser = np.arange(float(len(truth))), scans[0]
     log = Log("drive", t, ranges, laser.bearings[0], laser.max_range_m, np.zeros(3), odometry, reference)
     rows = np.arange(len(truth))
-    found = karto.figures(log, rows, karto.run(log, rows, odometry))
+    found = karto.figures(log, rows, odometry)
     assert found["karto_ate_m"] < 0.25 * trajectory_error(odometry, reference).rmse_m
