@@ -8,8 +8,9 @@ import json
 import shutil
 import signal
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import fields
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,7 @@ from matplotlib.figure import Figure
 from PIL import Image
 
 from benchmarks import common
-from benchmarks.common import Figures, OptionError, Options, ShardDone, page_of, result
-from benchmarks.trees import TreeError
+from benchmarks.common import Figures, OptionError, Options, ShardDone, page_of
 from mecp_env.cli.base import check_json
 from mecp_env.core.errors import ConfigError, MecpError
 from mecp_env.core.interrupts import INTERRUPTED
@@ -61,18 +61,18 @@ def main(arguments: list[str] | None = None) -> int:
     command = parser()
     given = command.parse_args(arguments)
     module = importlib.import_module(f"benchmarks.{given.name}")
-    options = options_of(given, module)
-    if options.against and given.name == "speed":
-        module = importlib.import_module("benchmarks.against")
     try:
+        options = options_of(given, module)
         import_modules(given.modules)
     except ConfigError as error:
         command.error(str(error))
+    if options.against and given.name == "speed":
+        module = importlib.import_module("benchmarks.against")
     try:
         content = measure(given.name, module, options)
     except OptionError as error:
         command.error(str(error))
-    except (TreeError, MecpError) as error:
+    except MecpError as error:
         print(f"python -m benchmarks: {error}", file=sys.stderr)
         return 1
     except ShardDone as done:
@@ -89,7 +89,9 @@ def keep(given: argparse.Namespace, module: Any, options: Options, content: Figu
     is_part = given.quick or given.sets or given.modules or given.against
     if given.json or not is_part:
         path = given.json or common.RESULTS / f"{given.name}.json"
-        common.save(content, page_of(content, module, f"{path.stem}.png"), path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content, indent=2) + "\n")
+        path.with_suffix(".md").write_text(page_of(content, module, f"{path.stem}.png"))
         if hasattr(module, "figure"):
             save_figure(module.figure(content["figures"]), path.with_suffix(".png"))
         if hasattr(module, "pictures"):
@@ -112,18 +114,20 @@ def save_pictures(pictures: dict[str, Figure], folder: Path) -> None:
 
 
 def options_of(given: argparse.Namespace, module: Any) -> Options:
-    """The options of a benchmark; ends the process with 2 for one that it does not have."""
+    """The options of a benchmark. Raises `ConfigError` for one that is wrong, or that the benchmark does not have."""
     for fault in wrong_options(given, module):
-        parser().error(fault)
+        raise OptionError(fault)
+    if given.json:
+        check_json(given.json, "json")
     folder = common.UNITS / given.name
     shared = {field.name: getattr(given, field.name) for field in fields(Options) if hasattr(given, field.name)}
     places = {"folder": folder.absolute(), "records": (given.records or folder / "records").absolute()}
-    return Options(**shared | places)
+    return Options(**shared | places | {"shard": Shard.parse(given.shard)})
 
 
 def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
     """What is wrong with the options that only some benchmarks have, and with the places that files are written to."""
-    asked = vars(given) | {"with": given.modules, "shard": given.shard != WHOLE}
+    asked = vars(given) | {"with": given.modules, "shard": given.shard != str(WHOLE)}
     for option, names in HAVING.items():
         if asked[option] and given.name not in names:
             yield f"--{option}: {given.name} does not have it; {', '.join(names)} do"
@@ -131,6 +135,8 @@ def wrong_options(given: argparse.Namespace, module: Any) -> Iterator[str]:
         yield f"--sets: {given.name} is measured whole"
     part = [option for option in ("against", "quick", "sets") if asked[option] and given.gate]
     yield from (f"--{option}: not with --gate, which compares the whole" for option in part)
+    too_few = {"jobs": given.jobs < 1, "buildings": given.buildings < 0}
+    yield from (f"--{option} {asked[option]}: expected at least 1" for option in too_few if too_few[option])
     if given.cluster and given.jobs != 1:
         yield f"--jobs {given.jobs}: with --cluster, as many processes as the cluster has CPUs"
     if given.records and given.records.is_file():
@@ -143,8 +149,8 @@ def parser() -> argparse.ArgumentParser:
     add, many = made.add_argument, {"nargs": "+", "action": "extend"}
     add("name", choices=NAMES)
     text = "where to write the figures (a page of the same name beside it)"
-    add("--json", type=checked(lambda word: check_json(Path(word), "json")), help=text)
-    add("--jobs", type=checked(positive), default=1, help="processes at the same time")
+    add("--json", type=Path, help=text)
+    add("--jobs", type=int, default=1, help="processes at the same time")
     add("--gate", action="store_true", help="compare with the committed baseline, write nothing")
     add("--quick", action="store_true", help="a small sample; written only with --json")
     text = "of benchmarks with sets (association, loop, scale, ...): only these; written only with --json"
@@ -154,41 +160,29 @@ def parser() -> argparse.ArgumentParser:
     text = "of speed and start: compare the working tree with this commit; written only with --json"
     add("--against", metavar="GIT_REF", help=text)
     text = "every N-th unit only, from the I-th; then the command without --shard gives the figures"
-    add("--shard", type=checked(Shard.parse), default=WHOLE, metavar="I/N", help=text)
+    add("--shard", default=str(WHOLE), metavar="I/N", help=text)
     text = f"of {', '.join(HAVING['records'])}: the drives that are replayed; missing ones are made there and stay"
     add("--records", type=Path, metavar="FOLDER", help=text)
     add("--cluster", default="", metavar="HOST:PORT", help="run the units on the Ray cluster at this address")
     add("--task", default="", help="of uncertainty: a task of active SLAM; default: ActiveHalls-v0")
     text = "of uncertainty: names, run folders or module:Class; default: nearest, gain, returning and others"
     add("--policies", **many, default=[], metavar="POLICY", help=text)
-    add("--buildings", type=checked(positive), default=0, metavar="N", help="of uncertainty: at each point, 50")
+    add("--buildings", type=int, default=0, metavar="N", help="of uncertainty: at each point, 50")
     return made
 
 
-def checked(parse: Callable[[str], Any]) -> Callable[[str], Any]:
-    """A type of an option, whose `ConfigError` ends the command with its words."""
-
-    def parsed(word: str) -> Any:
-        try:
-            return parse(word)
-        except ConfigError as error:
-            raise argparse.ArgumentTypeError(str(error)) from None
-
-    return parsed
-
-
-def positive(word: str) -> int:
-    """A number, at least 1."""
-    if not (word.isdecimal() and int(word) >= 1):
-        raise ConfigError(f"expected at least 1, given {word}")
-    return int(word)
-
-
 def measure(name: str, module: Any, options: Options) -> Figures:
-    """Run a benchmark between two calibrations; the faster one counts."""
+    """Content of a result file: the figures with date, machine and command; of two calibrations, the faster counts."""
     before = common.calibration_ms()
     figures = module.run(options)
-    return result(name, figures, min(before, common.calibration_ms()))
+    return {
+        "benchmark": name,
+        "date": datetime.now(UTC).date().isoformat(),
+        "command": " ".join(["python -m benchmarks", *sys.argv[1:]]),
+        "machine": common.machine(),
+        "calibration_ms": min(before, common.calibration_ms()),
+        "figures": figures,
+    }
 
 
 def gate(content: Figures) -> int:

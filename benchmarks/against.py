@@ -14,7 +14,7 @@ from pathlib import Path
 from benchmarks import peers
 from benchmarks.common import Figures, Options, ratio
 from benchmarks.in_tree import ACTIONS, SWEEPS
-from benchmarks.tables import table
+from benchmarks.tables import one_table
 from benchmarks.trees import HERE, in_turns_by_tree, run_in
 
 BLOCK, WARM_UP, BLOCKS = 100, 300, 6  # control steps; blocks of a turn
@@ -54,15 +54,7 @@ def summarise(pairs: Sequence[Sequence[Figures]]) -> Figures:
 
 
 def report(figures: Figures) -> str:
-    """One row for each kind of action."""
-    ref = figures["against"]
-    columns = ("ratio", "steps_per_s", "steps_per_s_against", "same_observations")
-    rows = [
-        (sweeps, actions, *(values[name] for name in columns), values["ratio"]["n"])
-        for sweeps, kinds in figures.items()
-        if sweeps.startswith("K=")
-        for actions, values in kinds.items()
-    ]
-    head = ["sweeps", "actions", f"time per step, {HERE} / {ref}", f"steps per second, {HERE}"]
-    head += [f"steps per second, {ref}", "share with the same observation", "pairs of blocks"]
-    return f"{table(head, rows)}\n\n## MiniGrid and ir-sim\n\n{peers.report(figures.get('peers', {}))}"
+    """One row for each number of sweeps and kind of action."""
+    said = f"`ratio` is the time per step of the {HERE} over that of {figures['against']}, from pairs of blocks."
+    ours = one_table({name: of for name, of in figures.items() if name.startswith("K=")})
+    return f"{said}\n\n{ours}\n\n## MiniGrid and ir-sim\n\n{peers.report(figures.get('peers', {}))}"

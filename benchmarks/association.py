@@ -27,11 +27,10 @@ from benchmarks import loop
 from benchmarks.common import Figures, Options, estimate
 from benchmarks.drives import Drive, Replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_drives, place
-from benchmarks.tables import columns_of, sections, summary, table_of
+from benchmarks.tables import columns_of, summary
 from benchmarks.variants import DEFAULT, LETTER, RIVALS, Variant, own_rows, replays, rows_of
 from mecp_env.core.carriers import Ints
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.policies.report import cell
 
 METHODS = rows_of(
     *(DEFAULT, "mecp without descriptor", "mecp without polygons", "mecp without rooms", "mecp_paper"),
@@ -57,11 +56,6 @@ def run(options: Options) -> Figures:
     }
 
 
-def methods() -> dict[str, Variant]:
-    """The rows of the table, with those of parts that modules register."""
-    return METHODS | own_rows()
-
-
 def course(layout: str, seed: int) -> Course:
     """What is driven."""
     if layout == IDEAL:
@@ -72,7 +66,7 @@ def course(layout: str, seed: int) -> Course:
 
 def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts for each associator on the drive of one layout and seed."""
-    return counted(records.drive(course(*drive_of)), methods())
+    return counted(records.drive(course(*drive_of)), METHODS | own_rows())
 
 
 def counted(drive: Drive, rows: Mapping[str, Variant]) -> dict[str, Figures]:
@@ -122,15 +116,12 @@ def closures(drive: Drive, log: AssociationLog, rooms: Ints, pairs: Sequence[Any
         returned = i > 0 and rooms[i - 1] != room and i - last_visit.get(room, i) >= AWAY_SCANS
         last_visit[room] = i
         window = (step > i) & (step <= i + WITHIN_SCANS) & (room_of == room)
-        if returned and mapped_before(log, np.unique(true[window & (true >= 0)]), i) >= 2:
+        seen = np.unique(true[window & (true >= 0)])
+        mapped = np.intersect1d(seen, log.features[log.features[:, 1] < i, 0])
+        if returned and len(mapped) >= 2:
             right = window & (claimed >= 0) & ~wrong
             events.append((int(right.sum()), int((window & wrong).sum())))
     return events
-
-
-def mapped_before(log: AssociationLog, corners: Ints, step: int) -> int:
-    """How many of the true corners had a landmark before `step`."""
-    return sum(bool((log.features[log.features[:, 0] == corner, 1] < step).any()) for corner in corners.tolist())
 
 
 def across_a_wall(drive: Drive, true: Ints, claimed: Ints) -> int:
@@ -157,15 +148,3 @@ def of_drive(row: Figures) -> Figures:
     right, paired = row["tp"], row["tp"] + row["fp"]
     recall = right / max(right + row["fn"], 1)
     return {"precision": right / paired if paired else 1.0, "recall": recall, "rmse_m": row["rmse_m"]}
-
-
-def report(figures: Figures) -> str:
-    """Per layout a table with one row per associator, and one of their differences to `mecp`."""
-    parts = {}
-    for layout, methods in figures.items():
-        paired = [name for name in methods[DEFAULT] if name.endswith("_minus_mecp")]
-        cells = {name: {column: cell(row[column], ".4g") for column in COLUMNS} for name, row in methods.items()}
-        tables = table_of("associator", COLUMNS, cells), table_of("associator", paired, methods)
-        title = f"{layout} ({methods[DEFAULT]['precision']['n']} seeds)"
-        parts[title] = "\n\nMean difference to `mecp` on the same drives:\n\n".join(tables)
-    return sections(parts)

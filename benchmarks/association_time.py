@@ -25,16 +25,16 @@ from benchmarks.common import Figures, Options, best_of, ratio, runs_of
 from benchmarks.drives import Drive
 from benchmarks.loop import course
 from benchmarks.records import IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import FIRST_SCAN, Finished, Look, Sigma, decided, finish, front_end, judged, look, named
+from benchmarks.rough_pose import FIRST_SCAN, Finished, Look, Sigma, decided, finish, judged, look, named, polygons_of
 from benchmarks.rough_pose import rough_view as view_at
-from benchmarks.tables import columns_of, sections, summary, table
+from benchmarks.tables import columns_of, summary
 from benchmarks.variants import DEFAULT, Variant, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan, Polygon
 
 CORNERS, SPURIOUS = 20, 4
@@ -79,9 +79,10 @@ def cluttered_looks(drive: Drive, finished: Finished, count: int, rng: np.random
         seen = look(drive, finished, step)
         real = np.flatnonzero(np.isin(seen.true, mapped) & (seen.true >= 0))
         if CORNERS - SPURIOUS <= len(real) <= CORNERS and len(looks) < count:
-            corners, beams, wall = front_end(drive.scans[step], drive.slam)
-            corners, source = with_spurious(corners, beams, vertices_first(real, seen.polygons, rng), rng)
-            find = partial(find_structure, corners, beams, drive.slam.polygon, wall)
+            plain = front_end(drive.scans[step], drive.slam)
+            kept = vertices_first(real, seen.polygons, rng)
+            corners, source = with_spurious(plain.corners, plain.beams, kept, rng)
+            find = partial(polygons_of, plain.with_corners(corners), drive.slam)
             looks.append(Look(corners, find(), np.where(source < 0, -1, seen.true[source]), seen.T_map_robot))
             ms += 1e3 * best_of(find, CALLS)
     return looks, ms
@@ -138,14 +139,3 @@ def figures_of(drives: list[Sums], sigma: str, name: str) -> Figures:
         "ratio_with_polygons": ratio(ours["ms"] + own["polygons_ms"], own["ms"]),
         "ratio_same_corners": ratio(alike["ms"], own["ms"]),
     }
-
-
-def report(figures: Figures) -> str:
-    """Per set a table with a row for each sigma and associator."""
-    columns = ["ms", *RATIOS, "right", "wrong", "polygon", "budget_spent"]
-    parts = {}
-    for layout, cells in figures.items():
-        scans = next(iter(cells.values()))[DEFAULT]["scans"]
-        rows = [[sigma, name, *(row[c] for c in columns)] for sigma, of in cells.items() for name, row in of.items()]
-        parts[f"{layout} ({scans} scans per row)"] = table(["pose", "associator", *columns], rows)
-    return sections(parts)

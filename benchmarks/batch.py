@@ -37,7 +37,7 @@ def optimum(record: Record, path: Array, ids: Ints, p_map: Array) -> Optimum:
 
     Raises `OptionError` where GTSAM is missing.
     """
-    gtsam = library()
+    gtsam = from_lab("gtsam", "the batch optimum needs GTSAM")
     graph, values, noise = gtsam.NonlinearFactorGraph(), gtsam.Values(), gtsam.noiseModel.Gaussian.Covariance
     graph.add(gtsam.PriorFactorPose2(0, gtsam.Pose2(*record.start), noise(record.start_cov)))
     for number, motion in enumerate(record.motions):
@@ -111,8 +111,3 @@ def measurement(T: Array, points: Array, z: Array) -> tuple[Array, Array, Array]
     by_place = np.stack([y / r, np.stack([-y[:, 1], y[:, 0]], axis=1) / (r * r)], axis=1)
     by_turn = np.broadcast_to([[0.0], [-1.0]], (len(z), 2, 1))
     return e.ravel(), np.concatenate([-by_place, by_turn], axis=2), by_place @ np.array([[c, s], [-s, c]])
-
-
-def library() -> Any:
-    """GTSAM. Raises `OptionError` where it is not installed."""
-    return from_lab("gtsam", "the batch optimum needs GTSAM")

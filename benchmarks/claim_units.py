@@ -25,7 +25,9 @@ from mecp_env.slam.messages import Corners, Polygon
 METHODS = variants.rows_of(  # some of the benchmark `association`
     *("mecp", "mecp without descriptor", "mecp without rooms", "mecp_paper", "nearest", variants.LETTER)
 )
-VARIANTS = ("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")  # of `loop`
+VARIANTS = variants.rows_of(  # of `loop`
+    *("mecp", "mecp without polygons", "jcbb", "jcbb with descriptor", "mecp_paper")
+)
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
 UNION = " of the union"
 DENSE_SCANS = ("adaptive_noise", "adaptive", "adaptive_noise" + UNION, "adaptive" + UNION)
@@ -44,7 +46,7 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     if kind == "scans":
         return of_scans(layout, number)
     if kind == "loop":
-        return loop.compare((layout, number), records, loop.SCANS, VARIANTS, SIGMAS)
+        return loop.on_drive(records.drive(loop.course(layout, number)), loop.SCANS, number, VARIANTS, SIGMAS)
     drive = records.drive(association.course(layout, number))
     methods = association.counted(drive, METHODS)
     if kind == "ideal":  # only the filter is told of noise

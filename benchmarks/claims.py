@@ -16,12 +16,12 @@ from typing import Any
 from benchmarks import association
 from benchmarks.association import differences, summarise
 from benchmarks.claim_units import PRESETS, SIGMAS, VARIANTS, measure, of_clustering, recalls
-from benchmarks.common import Figures, Options, all_figures, estimate, ratio
+from benchmarks.common import Figures, Options, estimate, ratio
 from benchmarks.features import key_of
 from benchmarks.polygon_speed import exponents
 from benchmarks.records import on_records
 from benchmarks.rough_pose import named, right_share
-from benchmarks.tables import by_row, columns_of, flatten, readable, summary, table
+from benchmarks.tables import all_figures, by_row, columns_of, flatten, readable, summary, table
 from benchmarks.variants import LETTER
 from mecp_env.world.layout import shipped_layouts
 

@@ -27,7 +27,7 @@ from benchmarks.common import Figures, Options, runs_of
 from benchmarks.loop import course
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
-from benchmarks.tables import by_row, sections, table
+from benchmarks.tables import by_row, sections, summaries, table
 from benchmarks.variants import associators, replays
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import polar_to_points, wrap_angle
@@ -49,8 +49,7 @@ def run(options: Options) -> Figures:
     drives = [(layout, *cell, seed) for layout, seed in runs_of(options, SETS) for cell in CELLS]
     figures: Figures = {}
     for (layout, *cell), runs in on_records(compare, dict[str, Figures], drives, options).items():
-        of_cell = {name: noise.summarise(own) for name, own in by_row(runs).items()}
-        figures.setdefault(layout, {})[named(*cell)] = of_cell
+        figures.setdefault(layout, {})[named(*cell)] = summaries(by_row(runs), noise.COLUMNS)
     return figures
 
 

@@ -1,16 +1,15 @@
 """Shared by all benchmarks: intervals, the calibration workload, parallel runs, result files and the gate.
 
 A benchmark is a module with `run(options) -> dict`: nested dicts of figures, a figure being a number or an `estimate`.
-It may have `report(figures) -> str`, tables in Markdown, `figure(figures)`, a figure of matplotlib that is saved as PNG
-beside them, `pictures(options)`, figures by name that are saved as PNG and SVG in a folder beside them, and
-`faults(figures) -> list[str]`, what exceeds its bound.
+It may have `report(figures) -> str`, tables in Markdown, where `tables.report_of` does not make them from the names of
+the figures; `figure(figures)`, a figure of matplotlib that is saved as PNG beside them; `pictures(options)`, figures by
+name that are saved as PNG and SVG in a folder beside them; and `faults(figures) -> list[str]`, what exceeds its bound.
 """
 
 from __future__ import annotations
 
 import importlib
 import importlib.util
-import json
 import math
 import os
 import platform
@@ -20,14 +19,15 @@ import time
 import timeit
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
-import numba
 import numpy as np
 
-from benchmarks.tables import flatten, readable, table
+from benchmarks.tables import flatten, readable, report_of
+from mecp_env.cli.base import tracked
+from mecp_env.core.carriers import Array
+from mecp_env.core.errors import ConfigError
 from mecp_env.core.intervals import Figures, correlation, estimate, ratio, share
 from mecp_env.core.jit import compiled
 from mecp_env.core.provenance import checksums, dependencies
@@ -62,31 +62,32 @@ class ShardDone(Exception):
     """A part of the units is finished, which gives no figures yet."""
 
 
-class OptionError(ValueError):
+class OptionError(ConfigError):
     """An option on the command line that the benchmark does not support."""
 
 
-def chosen(sets: Sequence[str], there_are: Mapping[str, int], most: int = MOST) -> dict[str, int]:
-    """Number of runs of each set named on the command line as `NAME` or `NAME:COUNT`.
+def chosen(
+    options: Options, there_are: Mapping[str, int], quick: Mapping[str, int] | None = None, most: int = MOST
+) -> Mapping[str, int]:
+    """Number of runs of each set named on the command line as `NAME` or `NAME:COUNT`, or of all; with --quick, `quick`.
 
     Raises `OptionError` for an unknown name or an invalid count.
     """
     counts = {}
-    for given in sets:
+    for given in options.sets:
         name, _, count = given.partition(":")
         if name not in there_are:
             raise OptionError(f"--sets {given}: expected one of {', '.join(there_are)}, got {name!r}")
         if count and not (count.isdecimal() and 1 <= int(count) <= most):
             raise OptionError(f"--sets {given}: expected NAME or NAME:COUNT, a count from 1 to {most}")
         counts[name] = int(count or there_are[name])
-    return counts
+    return counts or (quick if quick and options.quick else there_are)
 
 
 def runs_of(options: Options, counts: Mapping[str, int], quick: int = 2) -> list[tuple[str, int]]:
     """Set and number of each run: of the sets on the command line or all; with --quick, the first `quick` of each."""
-    asked = chosen(options.sets, counts) or counts
     most = quick if options.quick else MOST
-    return [(name, number) for name, count in asked.items() for number in range(min(count, most))]
+    return [(name, number) for name, count in chosen(options, counts).items() for number in range(min(count, most))]
 
 
 def shared_data(kind: str) -> Path | None:
@@ -108,10 +109,9 @@ def in_parallel(
     all_units = units if isinstance(units, Mapping) else {" ".join(map(str, unit)): unit for unit in units}
     named = dict(options.shard.part(list(all_units.items())))
     results, errors = dict[str, Any](), list[Exception]()
-    todo, begun = len(named.keys() - kept.found.keys()), time.monotonic()
-    for name, result in run_kept(task, named, kept, options.jobs, options.cluster):
+    finished = run_kept(task, named, kept, options.jobs, options.cluster)
+    for name, result in tracked(finished, len(named), "units"):
         results[name] = result
-        show_progress(len(results) - len(named) + todo, todo, time.monotonic() - begun)
         if isinstance(result, FailedUnit):
             errors.append(result.error)
             print(f"failed: {result}", file=sys.stderr)
@@ -129,13 +129,6 @@ def run_key(options: Options) -> dict[str, Any]:
     return {"--records": records, **checksums(), **dependencies(Path(__file__).parent)}
 
 
-def show_progress(done: int, todo: int, seconds: float) -> None:
-    """One line on stderr, written over the one before on a terminal: units done and time left."""
-    if done > 0:
-        left, end = seconds / done * (todo - done), "\r" if sys.stderr.isatty() and done < todo else "\n"
-        print(f"{done} of {todo} units, {left / 60.0:.1f} min left", end=end, file=sys.stderr, flush=True)
-
-
 def grouped(units: Sequence[tuple[Any, ...]], results: Sequence[Any]) -> dict[Any, list[Any]]:
     """The results by their units without the last word, the number; a single word stands for itself."""
     groups: dict[Any, list[Any]] = {}
@@ -151,6 +144,12 @@ def in_turns(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> list[dict[A
     return [{name: calls[name]() for name in turn} for turn in turns]
 
 
+def in_rounds(calls: Mapping[Any, Callable[[], Any]], rounds: int) -> dict[Any, Array]:
+    """(rounds,...) what each call measures, in turns; a round before, which loads compiled functions, is left out."""
+    turns = in_turns(calls, rounds + 1)[1:]
+    return {name: np.array([turn[name] for turn in turns]) for name in calls}
+
+
 def steps_per_s(step: Callable[[], int], seconds: float) -> float:
     """Control steps per second of calls that return their number, over at least this time."""
     start, steps = time.perf_counter(), 0
@@ -159,10 +158,10 @@ def steps_per_s(step: Callable[[], int], seconds: float) -> float:
     return steps / (time.perf_counter() - start)
 
 
-def best_of(call: Callable[[], object], repeats: int = 7, calls: int = 1) -> float:
-    """Seconds of one call of `call`: the least of some repeats of `calls` calls each, after one to warm up."""
+def best_of(call: Callable[[], object], calls: int = 7) -> float:
+    """Seconds of one call of `call`: the least of some, after one to warm up."""
     call()
-    return min(timeit.repeat(call, repeat=repeats, number=calls)) / calls
+    return min(timeit.repeat(call, repeat=calls, number=1))
 
 
 def is_installed(package: str) -> bool:
@@ -197,54 +196,30 @@ def calibration_ms() -> float:
 def machine() -> dict[str, str]:
     """The machine and versions of a measurement."""
     cpuinfo = Path("/proc/cpuinfo")
-    lines = cpuinfo.read_text().splitlines() if cpuinfo.is_file() else []
-    models = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    model = re.search(r"model name\s*: (.*)", cpuinfo.read_text()) if cpuinfo.is_file() else None
+    versions = dependencies()
     return {
-        "processor": next(iter(models), platform.processor() or "unknown"),
+        "processor": model[1].strip() if model else platform.processor() or "unknown",
         "cores": str(os.cpu_count()),
-        "system": f"{platform.system()} {platform.machine()}",
-        "python": platform.python_version(),
-        "numba": numba.__version__,
-        "numpy": np.__version__,
-    }
-
-
-def result(name: str, figures: Figures, calibration: float) -> Figures:
-    """Content of a result file: the figures with date, machine and command."""
-    return {
-        "benchmark": name,
-        "date": datetime.now(UTC).date().isoformat(),
-        "command": " ".join(["python -m benchmarks", *sys.argv[1:]]),
-        "machine": machine(),
-        "calibration_ms": calibration,
-        "figures": figures,
+        "system": versions["machine"],
+        **{name: versions[name] for name in ("python", "numba", "numpy")},
     }
 
 
 def page_of(content: Figures, module: Any, picture: str = "") -> str:
-    """The page of a result: its origin, what the benchmark measures, its report or all figures in one table."""
+    """The page of a result: its origin, what the benchmark measures, its report or all figures, its faults."""
+    faults = module.faults(content["figures"]) if hasattr(module, "faults") else None
     machine = ", ".join(f"{name} {value}" for name, value in content["machine"].items())
     workload = f"calibration workload {content['calibration_ms']:.2f} ms"
     parts = [
         f"# Benchmark: {content['benchmark']}",
         f"{content['date']}, `{content['command']}`; {machine}; {workload}.",
         (module.__doc__ or "").strip(),
-        getattr(module, "report", all_figures)(content["figures"]),
+        getattr(module, "report", report_of)(content["figures"]),
+        "" if faults is None else "\n".join(f"- {fault}" for fault in faults) or "No faults.",
         f"![{content['benchmark']}]({picture})" if picture and hasattr(module, "figure") else "",
     ]
     return "\n\n".join(part for part in parts if part) + "\n"
-
-
-def all_figures(figures: Figures) -> str:
-    """One table of all figures."""
-    return table(["figure", "value [95 % interval]"], flatten(figures).items())
-
-
-def save(content: Figures, page: str, path: Path) -> None:
-    """Write the result as JSON to `path`, and the page next to it."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(content, indent=2) + "\n")
-    path.with_suffix(".md").write_text(page)
 
 
 def differences(now: Figures, baseline: Figures) -> list[str]:

@@ -97,7 +97,7 @@ class Correction:
     def __init__(self, slam: SlamConfig, slips: bool, always: bool = False) -> None:
         self.sharp, self.always = slam.association.is_sharp, always
         local = slam.localisation if slips else LocalisationConfig(explained_share=0.0)
-        self.guard = PoseGuard(local, 0.0, 0.0)
+        self.guard = PoseGuard(local, 0.0, slam.association)
 
     def __call__(self, found: Filter, sighting: Sighting, odometry: Odometry | None) -> None:
         """Update a filter by known landmarks; without any, what was driven counts at the next update."""

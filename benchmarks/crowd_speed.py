@@ -9,18 +9,17 @@ per step in two blocks of the same turn.
 from __future__ import annotations
 
 from functools import cache
+from itertools import count, islice
 from typing import Any
 
 import numpy as np
 
 from benchmarks.common import Figures, estimate
 from benchmarks.drives import exploration
-from benchmarks.random_actions import RandomDriver, held
+from benchmarks.random_actions import wander
+from benchmarks.records import Course
 from benchmarks.stopwatch import timed_stages
-from benchmarks.tables import table_of
 from mecp_env.env import MecpEnv
-from mecp_env.world.config import GeneratorSpec, split_seed
-from mecp_env.world.generator import generate
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
@@ -64,9 +63,7 @@ def block(setting: str, actions: str, turn: int) -> tuple[float, float]:
     env = MecpEnv(layout=layout, start="random", max_steps=MAX_STEPS, **moving)
     with timed_stages(each=False) as watch:
         if actions == "random":
-            driver = RandomDriver(env, held(turn + 1), turn + 1)
-            for _ in range(RANDOM_STEPS):
-                driver.step()
+            wander(env, RANDOM_STEPS, turn + 1)
         else:
             for _ in exploration(GoalActions(env), turn + 1):
                 pass
@@ -77,16 +74,6 @@ def block(setting: str, actions: str, turn: int) -> tuple[float, float]:
 @cache
 def building(number: int) -> Layout:
     """The generated building of a turn, among those with enough wall faces."""
-    spec, index, found = GeneratorSpec.preset("hard"), -1, -1
-    while found < number:
-        index += 1
-        layout = generate(spec, split_seed("test", index))
-        found += len(build_outline(layout).segments) >= LEAST_FACES
-    return layout
-
-
-def report(measured: Figures) -> str:
-    """One table with one row per setting."""
-    columns = ("us", "with_driver_us", "ratio", "with_driver_ratio")
-    rows = {f"{actions}, {setting}": of for actions, settings in measured.items() for setting, of in settings.items()}
-    return table_of("actions, where", columns, rows)
+    layouts = (Course(f"hard:{index}", 0).building() for index in count())
+    large = (layout for layout in layouts if len(build_outline(layout).segments) >= LEAST_FACES)
+    return next(islice(large, number, None))

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
+from scipy.stats import mannwhitneyu
 
 from mecp_env.config import EnvConfig
 from mecp_env.core.carriers import Array
@@ -29,7 +30,7 @@ from mecp_env.slam.messages import Corners, MapView, Match, Polygon, Reason
 from mecp_env.slam.protocols import Associator, Filter
 from mecp_env.world.schema import Layout
 from mecp_env.world.simulation import Motion
-from mecp_env.wrappers import GoalActions
+from mecp_env.wrappers import GoalActions, Step
 
 FAR_SHARE = 0.93  # of the laser's range; walls end there that go on
 ELLIPSE = chi2_of_point(0.9)
@@ -136,14 +137,14 @@ class RecordingEnv(MecpEnv):
         return odometry, scan
 
 
-def exploration(env: GoalActions, seed: int) -> Iterator[tuple[dict[str, Any], bool]]:
-    """Explore breadth first from a start given by the seed: the info after each goal, and whether it terminated."""
+def exploration(env: GoalActions, seed: int | None) -> Iterator[Step]:
+    """Explore breadth first from a start given by the seed, or go on (None): what the step of each goal returned."""
     policy, over = BreadthFirst(), False
-    observation, _ = env.reset(seed=seed)
+    observation = env.base.observation() if seed is None else env.reset(seed=seed)[0]
     while not over:
-        observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
-        over = terminated or truncated
-        yield info, terminated
+        step = env.step(policy.act(observation, env.action_masks()))
+        observation, over = step[0], step[2] or step[3]
+        yield step
 
 
 def record_drive(layout: str | Layout, seed: int, **keywords: Any) -> Drive:
@@ -243,9 +244,9 @@ def off(T_map_robot: Array, truth: Array) -> tuple[float, float]:
 
 def roc_area(confidence: Array, error_m: Array) -> float:
     """Probability that a scan with a small error has more confidence than one with a large error; ties count half."""
-    right, wrong = (np.sort(confidence[mask]) for mask in (error_m < WRONG_M, error_m >= WRONG_M))
-    below = np.searchsorted(wrong, right, "left") + np.searchsorted(wrong, right, "right")
-    return float(below.sum() / (2.0 * len(right) * len(wrong))) if len(right) and len(wrong) else math.nan
+    right, wrong = (confidence[mask] for mask in (error_m < WRONG_M, error_m >= WRONG_M))
+    pairs = len(right) * len(wrong)
+    return float(mannwhitneyu(right, wrong).statistic / pairs) if pairs else math.nan
 
 
 def calibration_error(confidence: Array, error_m: Array) -> float:

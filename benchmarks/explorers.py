@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 
 from benchmarks.common import Figures, Options, grouped, in_parallel
-from benchmarks.tables import of_visits, sections, turned
+from benchmarks.tables import of_visits
 from benchmarks.worlds import COMPLETE_COVERAGE, found_all
 from mecp_env.policies.registry import make_policy
 from mecp_env.policies.rollout import CoverageCurve, run_policy
@@ -58,9 +58,3 @@ def explore(task: tuple[str, str, int]) -> dict[str, float]:
         final[f"metres_to_{level:.0%}"] = curve.metres_to(level, math.nan)
         final[f"reached_{level:.0%}"] = math.isfinite(final[f"periods_to_{level:.0%}"])
     return final
-
-
-def report(figures: Figures) -> str:
-    """One table per layout."""
-    seeds = {layout: next(iter(explorers.values()))["complete"]["n"] for layout, explorers in figures.items()}
-    return sections({f"{layout}, {seeds[layout]} seeds": turned(explorers) for layout, explorers in figures.items()})

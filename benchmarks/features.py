@@ -15,7 +15,7 @@ import numpy as np
 
 from benchmarks.common import Figures, Options, estimate, in_parallel, ratio
 from benchmarks.corner_scores import Preset, Score, make_places, score_places
-from benchmarks.tables import readable, sections, table, table_of, whole_rows
+from benchmarks.tables import one_table, sections, table_of
 from mecp_env.core.carriers import Array
 from mecp_env.slam.config import ClusteringConfig, SlamConfig
 from mecp_env.slam.messages import CornerKind
@@ -34,7 +34,6 @@ KINDS = {  # kind, and whether it is convex where that matters
 }
 RECALLS = "`recall` counts detectable corners, `recall_rest` all others in line of sight (posts of doors among them)."
 STAGES = ("sweeps", "clustering", "segments", "corners")
-RATES = ("corners", "precision", "recall", "recall_rest", "NIS")
 
 
 def run(options: Options) -> Figures:
@@ -123,30 +122,13 @@ def report(figures: Figures) -> str:
     """The page: presets, calibration, layouts, thresholds, times."""
     presets = figures["presets"]
     names = ("precision", "recall", "recall_rest", "rms_error_m", "NIS", "NIS_over_13.8", "doors_found", "false_doors")
-    thresholds = {key: table_of("", RATES, rows) for key, rows in figures["thresholds"].items()}
+    calibration = {name: of["NIS_by_kind_and_range"] for name, of in presets.items()}
     parts = {
         "Corners and doors": f"{RECALLS}\n\n{table_of('preset', names, presets)}",
-        "Calibration: mean NIS by kind and range (2 expected)": below(
-            {k: calibration(of) for k, of in presets.items()}
-        ),
-        "Layouts, paper K=4": table_of("", RATES, figures["layouts"]),
-        "Clustering thresholds": below(thresholds),
-        "Time, microseconds (median)": whole_rows(
-            ["preset", *STAGES, "total"], {key: preset["us"] for key, preset in presets.items()}
-        ),
+        "Calibration: mean NIS by kind and range (2 expected)": one_table(calibration),
+        "Layouts, paper K=4": one_table(figures["layouts"]),
+        "Clustering thresholds": one_table(figures["thresholds"]),
+        "Time, microseconds (median)": one_table({name: of["us"] for name, of in presets.items()}),
     }
     said = f"{figures['poses']} random poses in {', '.join(figures['layouts'])}; 95 % intervals over poses."
     return f"{said}\n\n{sections(parts)}"
-
-
-def below(tables: dict[str, str]) -> str:
-    """Each table below its name."""
-    return "\n\n".join(f"{name}\n\n{body}" for name, body in tables.items())
-
-
-def calibration(preset: Figures) -> str:
-    """Mean NIS and number of corners per kind and range bin."""
-    kinds = preset["NIS_by_kind_and_range"]
-    bins = list(next(iter(kinds.values())))
-    rows = [[kind, *(f"{readable(cells[b])} ({cells[b]['n']})" for b in bins)] for kind, cells in kinds.items()]
-    return table(["kind", *bins], rows)

@@ -10,7 +10,6 @@ import numpy as np
 
 from benchmarks.common import Figures, Options, estimate, in_parallel
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
-from benchmarks.tables import table_of
 from mecp_env.slam.filters import FILTERS
 
 READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
@@ -45,13 +44,3 @@ def consistency(case: tuple[str, str, int]) -> Figures:
         "closing_scan_one_shot": estimate(once.nees[:, once.closure]),
         "position_rmse_lap_2_m": estimate(np.sqrt((figures.error_m[:, lap_2] ** 2).mean(axis=1))),
     }
-
-
-def report(figures: Figures) -> str:
-    """One table of the consistency."""
-    rows = {
-        f"{reading}, {kind}": {name: f"{estimated['value']:.2f}" for name, estimated in row.items()}
-        for reading, kinds in figures["nees"].items()
-        for kind, row in kinds.items()
-    }
-    return table_of("NEES (3 expected)", list(next(iter(rows.values()))), rows)

@@ -5,8 +5,8 @@ other load affects all formats alike. A ratio is taken within a round and compar
 that of the format "dict"; "none" leaves the observation out, so that no format can be cheaper. In the paper's building
 and in generated ones of `Rooms-v0` (medium), with velocities and with goals (a valid row each time).
 
-Rows: the goals that `flat` describes at a decision, as a share of the rows that are offered there, in whole episodes of
-random goals.
+`described` is the share of the goals offered at a decision that `flat` describes, `offered` their number per decision,
+in whole episodes of random goals.
 """
 
 from __future__ import annotations
@@ -15,12 +15,10 @@ from functools import partial
 from typing import Any
 
 import gymnasium
-import numpy as np
 
 import mecp_env
-from benchmarks.common import Figures, Options, estimate, in_turns, share
+from benchmarks.common import Figures, Options, estimate, in_rounds, share
 from benchmarks.random_actions import RandomDriver, goal, velocity
-from benchmarks.tables import whole_rows
 
 BUILDINGS: dict[str, dict[str, Any]] = {
     "PaperMap": {"id": "mecp_env/PaperMap-v0"},
@@ -45,8 +43,7 @@ def compare(name: str, actions: str, rounds: int) -> Figures:
     """Milliseconds per control step of each format, and their ratios to "dict", over the rounds after the first."""
     drivers = {word: driver_of(name, actions, word) for word in FORMATS}
     blocks = {word: partial(driver.seconds_per_step, BLOCK[actions]) for word, driver in drivers.items()}
-    turns = in_turns(blocks, rounds + 1)[1:]  # the first loads compiled functions
-    seconds = {word: np.array([turn[word] for turn in turns]) for word in FORMATS}
+    seconds = in_rounds(blocks, rounds)
     ratios = {word: estimate(seconds[word] / seconds["dict"]) for word in FORMATS[1:]}
     return {"dict_ms": estimate(1e3 * seconds["dict"]), **ratios}
 
@@ -79,10 +76,3 @@ def rows_described(name: str, episodes: int) -> Figures:
             observation, _, ended, cut, info = env.step(env.action_space.sample(mask=info["action_mask"]))
             over = ended or cut
     return {"described": share(described), "offered": len(described) / decisions, "decisions": decisions}
-
-
-def report(figures: Figures) -> str:
-    """A table of times and one of rows."""
-    heads = ["building, actions", "dict, ms per control step", *(f"{word} / dict" for word in FORMATS[1:])]
-    described = ["building", "share of offered rows described", "rows offered per decision", "decisions"]
-    return f"{whole_rows(heads, figures['time'])}\n\n{whole_rows(described, figures['rows'])}"

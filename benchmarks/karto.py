@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import time
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -23,17 +23,26 @@ RANGE_SHARE = 0.9  # of the laser's range, up to which the package trusts a beam
 LEAST_RANGE_M = 0.05
 
 
-class KartoRun(NamedTuple):
-    """The paths of a run, and what it cost."""
+def figures(log: Log, rows: Ints, T_odom_robot: Array) -> Figures:
+    """The errors of both paths by the names that `real` has for those of the estimator, and what the run cost.
 
-    online: Array  # (n,3) m, rad: the pose of each scan when it was processed
-    final: Array  # (n,3) m, rad: after the last optimum of the graph
-    ms_per_scan: float  # mean processor time
-    loops: int  # that were closed
+    On the scans `rows` (n,) of a log, whose laser is at the robot's centre, with odometry (n,3).
+    """
+    paths, scored = run(log, rows, T_odom_robot)
+    for prefix, T_map_robot in paths.items():
+        if log.T_ref_robot is not None:
+            error = trajectory_error(T_map_robot, log.T_ref_robot[rows])
+            scored |= {f"{prefix}ate_m": error.rmse_m, f"{prefix}ate_deg": math.degrees(error.rmse_rad)}
+        both = {"relations": log.relations, "relations_at_scans": coincident(log.t, log.relations)}
+        for name, relations in both.items():
+            if len(relations):
+                of = relation_error(log.t[rows], T_map_robot, relations)
+                scored |= {f"{prefix}{name}_m": of.mean_m, f"{prefix}{name}_deg": math.degrees(of.mean_rad)}
+    return scored
 
 
-def run(log: Log, rows: Ints, T_odom_robot: Array) -> KartoRun:
-    """OpenKarto on the scans `rows` (n,) of a log, whose laser is at the robot's centre, with odometry (n,3)."""
+def run(log: Log, rows: Ints, T_odom_robot: Array) -> tuple[dict[str, Array], Figures]:
+    """The poses (n,3) when each scan was processed and after the last optimum of the graph; time and closed loops."""
     from yag_slam.graph_slam import GraphSlam
     from yag_slam.models import LocalizedRangeScan
     from yag_slam.scan_matching import Scan2DMatcherCpp
@@ -52,23 +61,9 @@ def run(log: Log, rows: Ints, T_odom_robot: Array) -> KartoRun:
     slam.run_opt()
     spent = time.thread_time() - start
     final = [_pose(vertex.obj.corrected_pose) for vertex in slam.graph.vertices]
-    return KartoRun(np.array(online), np.array(final), 1e3 * spent / len(rows), loops)
+    cost = {"karto_ms_per_scan_mean": 1e3 * spent / len(rows), "karto_loops": loops}
+    return {"karto_": np.array(online), "karto_final_": np.array(final)}, cost
 
 
 def _pose(transform: Any) -> tuple[float, float, float]:
     return transform.x, transform.y, transform.euler[-1]
-
-
-def figures(log: Log, rows: Ints, found: KartoRun) -> Figures:
-    """The errors of both paths by the names that `real` has for those of the estimator."""
-    scored: Figures = {"karto_ms_per_scan_mean": found.ms_per_scan, "karto_loops": found.loops}
-    for prefix, T_map_robot in (("karto_", found.online), ("karto_final_", found.final)):
-        if log.T_ref_robot is not None:
-            error = trajectory_error(T_map_robot, log.T_ref_robot[rows])
-            scored |= {f"{prefix}ate_m": error.rmse_m, f"{prefix}ate_deg": math.degrees(error.rmse_rad)}
-        both = {"relations": log.relations, "relations_at_scans": coincident(log.t, log.relations)}
-        for name, relations in both.items():
-            if len(relations):
-                of = relation_error(log.t[rows], T_map_robot, relations)
-                scored |= {f"{prefix}{name}_m": of.mean_m, f"{prefix}{name}_deg": math.degrees(of.mean_rad)}
-    return scored

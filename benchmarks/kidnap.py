@@ -30,7 +30,7 @@ from benchmarks.common import Figures, Options, estimate, ratio, runs_of
 from benchmarks.drives import WRONG_M, Drive, calibration_error, off, roc_area
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import columns_of, table, table_of
+from benchmarks.tables import columns_of, one_table, table_of
 from benchmarks.variants import DEFAULT, VARIANTS, with_change
 from mecp_env.core.carriers import Array
 from mecp_env.core.se2 import compose, inverse
@@ -151,8 +151,7 @@ def figure(figures: Figures) -> Figure:
 
 def report(figures: Figures) -> str:
     """One table of events and one of confidence."""
-    columns = [*SHARES, "wrong_poses", "events"]
-    rows = [[layout, kind, *(cells[kind][c] for c in columns)] for layout, cells in figures.items() for kind in KINDS]
-    scores = ["auc", "calibration", "auc_of_all", "calibration_of_all", "false_alarms"]
+    events = {f"{layout}, {kind}": cells[kind] for layout, cells in figures.items() for kind in KINDS}
     confidence = {layout: cells["confidence"] for layout, cells in figures.items()}
-    return f"{table(['layout', 'event', *columns], rows)}\n\n{table_of('layout', scores, confidence)}"
+    columns = (*SHARES, "wrong_poses", "events")
+    return f"{table_of('layout, event', columns, events)}\n\n{one_table(confidence)}"

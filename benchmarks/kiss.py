@@ -51,7 +51,7 @@ class KissAssociator(TableAssociator):
 
     def __post_init__(self) -> None:
         TableAssociator.__post_init__(self)
-        found = library()
+        found = from_lab(PACKAGE, "the rows `kiss-matcher` need KISS-Matcher")
         self.matcher = found.KISSMatcher(found.KISSMatcherConfig(voxel_size=VOXEL_M, use_quatro=True))
 
     def _pair(self, builder: MatchBuilder, corners: Corners, costs: Array, view: MapView, belief: Filter) -> None:
@@ -106,11 +106,6 @@ class KissPointsAssociator(KissAssociator):
         self.matcher.reset()
         found = _planar(self.matcher.estimate(_raised(self.p_robot), _raised(to_map(inverse(T_map_guess), near))))
         return None if found is None else compose(T_map_guess, found)
-
-
-def library() -> Any:
-    """KISS-Matcher. Raises `OptionError` where it is not installed."""
-    return from_lab(PACKAGE, "the rows `kiss-matcher` need KISS-Matcher")
 
 
 def _planar(solution: Any) -> Array | None:

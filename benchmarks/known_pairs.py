@@ -9,12 +9,12 @@ import numpy as np
 from scipy.stats import chi2
 
 from benchmarks.drives import Drive, nees
-from benchmarks.rough_pose import front_end
 from mecp_env.core.carriers import Array, Bools, Ints
 from mecp_env.core.se2 import between, compose, inverse, to_map, to_robot, wrapped
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import Filter, SubmapEkf, make_filter
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import Belief
 
 FLOOR = 1e-10  # m^2, rad^2, of a motion, so that its covariance is positive at rest
@@ -132,7 +132,7 @@ def with_slip(motion: Motion, T_true: Array) -> Motion:
 
 def seen(drive: Drive, step: int, p_robot: Array) -> Sighting:
     """The corners of a scan that are true ones, without outliers; `p_robot` (m,2) are all true corners."""
-    corners = front_end(drive.scans[step], drive.slam)[0]
+    corners = front_end(drive.scans[step], drive.slam).corners
     true = drive.truth.identify(corners, drive.T_world_robot[step])
     row = np.flatnonzero((true >= 0) & (true < len(p_robot)))
     errors = corners.z[row] - polar(p_robot[true[row]])

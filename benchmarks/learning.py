@@ -16,7 +16,6 @@ import numpy as np
 
 from benchmarks.common import Figures, Options, estimate, steps_per_s
 from benchmarks.random_actions import RandomDriver, goal, velocity
-from benchmarks.tables import whole_rows
 
 ALGORITHMS = {"maskable_ppo": goal, "ppo": velocity}  # and the actions of the single environment
 LOG = {"evaluate_buildings": 0, "tensorboard": False, "checkpoint_s": 86_400.0}  # no evaluations, no checkpoints
@@ -57,9 +56,3 @@ def train(config: Any, updates: int) -> tuple[float, float]:
             rows = list(csv.DictReader(lines))[1:updates]
     rate, waiting = (float(np.mean([float(row[name]) for row in rows])) for name in ("periods_per_s", "waiting_share"))
     return rate, waiting
-
-
-def report(figures: Figures) -> str:
-    """One row per algorithm."""
-    heads = ["algorithm", "steps per second, including learning", "single environment", "ratio", "waiting"]
-    return whole_rows(heads, figures)

@@ -18,7 +18,7 @@ the test split, from number 500 on; the benchmark `worlds` uses those before. Ti
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 
 import numpy as np
@@ -30,7 +30,7 @@ from benchmarks.kiss import PACKAGE
 from benchmarks.plots import Panel, line_panels
 from benchmarks.records import IN_MEMORY, Course, Records, on_records, place
 from benchmarks.rough_pose import COLUMNS, Sigma, count_scans, drawn_looks, finish, named
-from benchmarks.tables import by_row, sections, summary, table
+from benchmarks.tables import by_row, sections, summaries, table
 from benchmarks.variants import DEFAULT, KISS, Variant, own_rows, rows_of
 
 SIGMAS = ((0.05, 0.5), (0.3, 3.0), (0.6, 6.0), (1.0, 10.0), (2.0, 20.0))  # m, deg
@@ -44,6 +44,7 @@ VARIANTS = rows_of(
 SETS = {"paper": 20, "hard": 20, "twins": 20}  # drives
 FIRST_BUILDING, MAX_STEPS = 500, 10_000  # the buildings before are those of `worlds`
 SCANS, QUICK_SCANS = 20, 4  # per drive
+Cells = dict[str, dict[str, Figures]]  # variant -> sigma -> counts
 WITHOUT_KISS = "KISS-Matcher (extra `lab`) is not installed where this is measured: its rows are missing."
 TITLES = {
     "right": "Share of scans with at least three right pairs and none wrong:",
@@ -57,19 +58,13 @@ TITLES = {
 def run(options: Options) -> Figures:
     """Results of every set, variant and sigma of the pose."""
     task = partial(compare, scans=QUICK_SCANS if options.quick else SCANS)
-    found = on_records(task, dict[str, dict[str, Figures]], runs_of(options, SETS), options)
+    found = on_records(task, Cells, runs_of(options, SETS), options)
     return {layout: summarise(drives) for layout, drives in found.items()}
 
 
-def compare(
-    drive_of: tuple[str, int],
-    records: Records = IN_MEMORY,
-    scans: int = SCANS,
-    variants: Sequence[str] | None = None,
-    sigmas: Sequence[Sigma] = SIGMAS,
-) -> dict[str, dict[str, Figures]]:
-    """Counts of some variants, by default all, and sigmas on scans of the drive of one layout and seed."""
-    return on_drive(records.drive(course(*drive_of)), scans, drive_of[1], variants or tuple(all_variants()), sigmas)
+def compare(drive_of: tuple[str, int], records: Records = IN_MEMORY, scans: int = SCANS) -> Cells:
+    """Counts of every variant and sigma on scans of the drive of one layout and seed."""
+    return on_drive(records.drive(course(*drive_of)), scans, drive_of[1], all_variants(), SIGMAS)
 
 
 def all_variants() -> dict[str, Variant]:
@@ -77,21 +72,17 @@ def all_variants() -> dict[str, Variant]:
     return VARIANTS | {name: row for name, row in own_rows().items() if "association" in row.change}
 
 
-def on_drive(
-    drive: Drive, count: int, seed: int, variants: Sequence[str], sigmas: Sequence[Sigma]
-) -> dict[str, dict[str, Figures]]:
+def on_drive(drive: Drive, count: int, seed: int, variants: Mapping[str, Variant], sigmas: Sequence[Sigma]) -> Cells:
     """Counts of some variants and sigmas on `count` scans of a drive, drawn by the seed."""
     finished, rng = finish(drive), np.random.default_rng(seed)
     looks = drawn_looks(drive, finished, count, rng)
-    errors = rng.normal(size=(len(SIGMAS), count, 3))
+    errors = dict(zip(SIGMAS, rng.normal(size=(len(SIGMAS), count, 3)), strict=True))
     return {
         name: {
-            named(sigma): count_scans(finished, variant.associator(drive.slam), looks, sigma, errors[k])
-            for k, sigma in enumerate(SIGMAS)
-            if sigma in sigmas
+            named(sigma): count_scans(finished, variant.associator(drive.slam), looks, sigma, errors[sigma])
+            for sigma in sigmas
         }
-        for name, variant in all_variants().items()
-        if name in variants
+        for name, variant in variants.items()
     }
 
 
@@ -100,10 +91,10 @@ def course(layout: str, seed: int) -> Course:
     return Course(place(layout, FIRST_BUILDING + seed), seed, {"estimator": "truth", "max_steps": MAX_STEPS})
 
 
-def summarise(drives: list[dict[str, dict[str, Figures]]]) -> Figures:
+def summarise(drives: list[Cells]) -> Figures:
     """Results of all drives of a set, with 95 % intervals over drives."""
     rows = by_row(drives)  # the package of a row may not be installed everywhere
-    return {name: {sigma: summary(of, COLUMNS) for sigma, of in by_row(own).items()} for name, own in rows.items()}
+    return {name: summaries(by_row(own), COLUMNS) for name, own in rows.items()}
 
 
 def report(figures: Figures) -> str:

@@ -5,7 +5,8 @@ each 50 m beside the other. The next 12 scans of the drive are timed. `filters`:
 filter, CPU time of the thread; the robot stays among the first landmarks, so that `riekf_submaps` takes no other
 submap (`scale` measures explorations, where it does). `associators`: the decision alone, with the default filter and a
 spurious corner for every fourth corner (see `clutter`); the pose is off by 0.3 m and 3 degrees (sigmas), its covariance
-says so, and the room is unknown; the fastest of three calls counts. Means over scans, with their 95 % intervals.
+says so, and the room is unknown; the fastest of three calls counts. Milliseconds by the number of landmarks, means over
+scans with their 95 % intervals.
 """
 
 from __future__ import annotations
@@ -23,12 +24,11 @@ from benchmarks.common import Figures, Options, estimate, in_parallel
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, panel_rows
 from benchmarks.records import IN_MEMORY, Records
-from benchmarks.rough_pose import Look, decided, front_end, rough_view
-from benchmarks.tables import table_of
+from benchmarks.rough_pose import Look, decided, polygons_of, rough_view
 from benchmarks.variants import associators, with_change
 from mecp_env.core.se2 import compose, inverse, to_robot
 from mecp_env.slam.config import KINDS, SlamConfig
-from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import MapPolygon
 from mecp_env.slam.pipeline import SlamPipeline
 
@@ -74,11 +74,10 @@ def association_ms(drive: Drive, name: str, count: int) -> list[float]:
     associator = associators()[name].associator(drive.slam)
     rng, T_map_world, ms = np.random.default_rng(SEED), inverse(drive.T_world_robot[0]), list[float]()
     for number in range(first, first + SCANS):
-        corners, beams, wall = front_end(drive.scans[number], drive.slam)
-        corners = cluttered(corners, beams, 1.0, SPURIOUS, rng)
-        polygons = find_structure(corners, beams, drive.slam.polygon, wall)
-        unknown = np.full(len(corners), -1)
-        seen = Look(corners, polygons, unknown, compose(T_map_world, drive.T_world_robot[number]))
+        plain = front_end(drive.scans[number], drive.slam)
+        found = plain.with_corners(cluttered(plain.corners, plain.beams, 1.0, SPURIOUS, rng))
+        unknown, T_map_robot = np.full(len(found.corners), -1), compose(T_map_world, drive.T_world_robot[number])
+        seen = Look(found.corners, polygons_of(found, drive.slam), unknown, T_map_robot)
         ms.append(decided(associator, seen, *rough_view(pipeline, seen, SIGMA, rng.normal(size=3)), CALLS)[1])
     return ms
 
@@ -120,13 +119,6 @@ def copy_polygons(pipeline: SlamPipeline, own: tuple[MapPolygon, ...], to: dict[
             store.polygons.append(replace(polygon, ids=ring, room=polygon.room + rooms))
     store.row, store.outdated = {}, True  # indexed again
     store.prune(pipeline.map.features, pipeline.rooms.resolve)
-
-
-def report(figures: Figures) -> str:
-    """One table of filters, one of associators."""
-    return "\n\n".join(
-        table_of(f"{part}: ms, landmarks", list(next(iter(rows.values()))), rows) for part, rows in figures.items()
-    )
 
 
 def figure(figures: Figures) -> Figure:

@@ -21,17 +21,17 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import partial
 from typing import Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
-from benchmarks.common import Figures, Options, runs_of
+from benchmarks.common import Figures, Options
 from benchmarks.drives import Drive
 from benchmarks.plots import Panel, line_panels
-from benchmarks.records import IN_MEMORY, Course, Records, on_records
-from benchmarks.tables import by_row, sections, summary, table_of
+from benchmarks.records import IN_MEMORY, Course, Records, on_drives
+from benchmarks.tables import summaries
 from benchmarks.variants import DEFAULT, Variant, own_rows, replays, rows_of
 from mecp_env.core.sensors import Odometry, Scan
 
@@ -41,8 +41,7 @@ VARIANTS = rows_of(
 )
 SLIP_MOST, SLIP_TURN_RAD = 3.0, np.radians(10.0)
 COLUMNS = ("rmse_m", "nees", "precision", "recall", "map_rmse_m", "landmarks_false", "duplicates", "lost")
-COLUMNS += ("associate_ms",)
-OF_RANGE = ("far", "phantoms")
+COLUMNS += ("associate_ms", "far", "phantoms")
 
 
 def narrowed(scan: Scan, degrees: float) -> Scan:
@@ -103,10 +102,7 @@ SETS = dict.fromkeys((*RECORDED, *CHANGED), 20)
 
 def run(options: Options) -> Figures:
     """Results of every cell and variant."""
-    drives = runs_of(options, SETS)
-    in_turn = sorted(drives, key=lambda drive: (drive[1], source(drive[0])))  # cells of one recording in succession
-    results = on_records(compare, dict[str, Figures], in_turn, options)
-    return {cell: {name: summarise(own) for name, own in by_row(results[cell]).items()} for cell in dict(drives)}
+    return {cell: summaries(rows, COLUMNS) for cell, rows in on_drives(compare, SETS, options).items()}
 
 
 def all_variants() -> dict[str, Variant]:
@@ -120,34 +116,9 @@ def compare(task: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Fi
 
 
 def drive_of(cell: str, seed: int, records: Records) -> Drive:
-    """A drive of a cell."""
-    drive = recorded(source(cell), seed, records)
-    return CHANGED[cell](drive, seed) if cell in CHANGED else drive
-
-
-def source(cell: str) -> str:
-    """The cell whose drives a cell is measured on."""
-    return BASE if cell in CHANGED else cell
-
-
-@lru_cache(1)
-def recorded(cell: str, seed: int, records: Records = IN_MEMORY) -> Drive:
     """A drive with the sensors of a cell."""
-    return records.drive(Course(LAYOUT, seed, {"estimator": "truth", **RECORDED[cell]}))
-
-
-def summarise(drives: list[Figures]) -> Figures:
-    """Results of all drives of a cell, each with its 95 % interval over drives."""
-    return summary(drives, (*COLUMNS, *OF_RANGE))
-
-
-def report(figures: Figures) -> str:
-    """One table per cell with one row per variant."""
-    parts = {}
-    for cell, variants in figures.items():
-        columns = (*COLUMNS, *OF_RANGE) if cell.startswith("range") else COLUMNS
-        parts[f"{cell} ({variants[DEFAULT]['rmse_m']['n']} drives)"] = table_of("variant", columns, variants)
-    return sections(parts)
+    drive = records.drive(Course(LAYOUT, seed, {"estimator": "truth", **RECORDED.get(cell, {})}))
+    return CHANGED[cell](drive, seed) if cell in CHANGED else drive
 
 
 def figure(figures: Figures) -> Figure:

@@ -15,7 +15,7 @@ from benchmarks import association
 from benchmarks.association import IDEAL
 from benchmarks.common import Figures, Options
 from benchmarks.records import IN_MEMORY, Records, on_drives
-from benchmarks.tables import sections, summary, table_of
+from benchmarks.tables import summaries
 from benchmarks.variants import DEFAULT, LETTER, changed, rows_of
 
 SETS = {"paper": 60, IDEAL: 15}
@@ -39,17 +39,9 @@ COLUMNS += ("found", "recognised", "rmse_m", "map_rmse_m", "nees", "landmark_nee
 
 def run(options: Options) -> Figures:
     """Results of both readings and every row."""
-    runs = on_drives(measure, SETS, options)
-    return {layout: {name: summary(own, COLUMNS) for name, own in rows.items()} for layout, rows in runs.items()}
+    return {layout: summaries(rows, COLUMNS) for layout, rows in on_drives(measure, SETS, options).items()}
 
 
 def measure(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> dict[str, Figures]:
     """Counts of each row on the drive of one layout and seed."""
     return association.counted(records.drive(association.course(*drive_of)), ROWS)
-
-
-def report(figures: Figures) -> str:
-    """One table per reading."""
-    return sections(
-        {f"{name} ({of[DEFAULT]['precision']['n']} drives)": table_of("", COLUMNS, of) for name, of in figures.items()}
-    )

@@ -13,6 +13,7 @@ import math
 import sys
 import tempfile
 from functools import partial
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -22,10 +23,10 @@ import shapely
 import yaml
 from numpy.random import Generator
 
-from benchmarks.common import Figures, in_turns, is_installed, ratio
+from benchmarks.common import Figures, in_rounds, is_installed, ratio
 from benchmarks.in_tree import ACTIONS, BEAMS, breadth_first
 from benchmarks.random_actions import RandomDriver, velocity
-from benchmarks.tables import table
+from benchmarks.tables import one_table
 from mecp_env.core.carriers import Array
 from mecp_env.world.layout import load_layout
 from mecp_env.world.outline import ROBOT_RADIUS_M, build_outline, random_free_pose
@@ -106,25 +107,14 @@ def measure(turns: int, sweeps: tuple[int, ...]) -> Figures:
         return {}
     blocks: dict[Any, Any] = {name: partial(peer(name).seconds_per_step, BLOCK[name]) for name in there}
     blocks |= {(k, kind): partial(ours(k, kind).seconds_per_step, BLOCK[kind]) for k in sweeps for kind in ACTIONS}
-    turned = in_turns(blocks, turns + 1)[1:]  # the first loads compiled functions
-    s = {name: np.array([turn[name] for turn in turned]) for name in blocks}
-    return {
-        name: {f"K={k}": {kind: compared(s[k, kind], s[name]) for kind in ACTIONS} for k in sweeps} for name in there
-    }
-
-
-def compared(ours: Array, theirs: Array) -> Figures:
-    """Our steps per second over the peer's, and both, from the seconds per step in each turn."""
-    return {"ratio": ratio(theirs, ours), "steps_per_s": 1.0 / ours.mean(), "peer_steps_per_s": 1.0 / theirs.mean()}
+    s = in_rounds(blocks, turns)
+    figures: Figures = {name: {f"K={k}": {} for k in sweeps} for name in there}
+    for name, k, kind in product(there, sweeps, ACTIONS):
+        speeds = {"steps_per_s": 1.0 / s[k, kind].mean(), "peer_steps_per_s": 1.0 / s[name].mean()}
+        figures[name][f"K={k}"][kind] = {"ratio": ratio(s[name], s[k, kind])} | speeds
+    return figures
 
 
 def report(figures: Figures) -> str:
     """One row for each peer and each kind of action of ours."""
-    rows = [
-        (peer, k, actions, *(values[name] for name in ("ratio", "steps_per_s", "peer_steps_per_s")))
-        for peer, settings in figures.items()
-        for k, both in settings.items()
-        for actions, values in both.items()
-    ]
-    head = ["peer", "sweeps", "actions", "our steps per second over the peer's", "our steps per second", "the peer's"]
-    return f"{__doc__}\n{table(head, rows)}" if rows else "The extra `peers` is not installed."
+    return f"{__doc__}\n{one_table(figures)}" if figures else "The extra `peers` is not installed."

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,16 +17,7 @@ LEAST_M2 = 2.0  # smaller labelled rooms need not be found
 MATCH = 0.5  # IoU above which an imported room is a labelled one; no room can then match two
 
 
-class RoomScore(NamedTuple):
-    """How many labelled rooms of at least `LEAST_M2` there are and how many are found; rooms that match no label."""
-
-    labelled: int
-    found: int
-    imported: int
-    false: int
-
-
-def score_plan(path: Path) -> RoomScore:
+def score_plan(path: Path) -> dict[str, int]:
     """The score of a plan that has an image with labels beside it."""
     labels = np.asarray(Image.open(path.with_suffix(".rooms.png")), np.int32)
     return score_rooms(load_plan(path), labels, PIXEL_M)
@@ -45,24 +35,26 @@ def room_pixels(layout: Layout, shape: tuple[int, int], resolution_m: float) -> 
 
 def overlaps(found: NDArray[np.int32], labels: NDArray[np.int32]) -> Array:
     """IoU (f+1,l+1) of every room of `found` with every label, each (h,w); row and column 0 are no rooms."""
-    count = int(labels.max()) + 1
-    pairs = np.bincount((found.astype(np.int64) * count + labels).ravel(), minlength=(int(found.max()) + 1) * count)
-    shared = pairs.reshape(-1, count).astype(np.float64)
+    numbers = [np.arange(int(image.max()) + 2) for image in (found, labels)]
+    shared = np.histogram2d(found.ravel(), labels.ravel(), numbers)[0]
     union = shared.sum(axis=1)[:, None] + shared.sum(axis=0) - shared
     iou: Array = shared / np.maximum(union, 1.0)
     iou[0], iou[:, 0] = 0.0, 0.0
     return iou
 
 
-def score_rooms(layout: Layout, labels: NDArray[np.int32], resolution_m: float) -> RoomScore:
-    """The score of a layout against `labels` (h,w) of pixels with a side of `resolution_m`."""
+def score_rooms(layout: Layout, labels: NDArray[np.int32], resolution_m: float) -> dict[str, int]:
+    """How many labelled rooms of at least `LEAST_M2` there are and how many are found; rooms that match no label.
+
+    `labels` (h,w) are of pixels with a side of `resolution_m`.
+    """
     pixels = room_pixels(layout, labels.shape, resolution_m)
     matches = np.greater(overlaps(pixels, labels), MATCH)
     sizes = np.bincount(labels.ravel(), minlength=matches.shape[1]) * resolution_m**2
     large = (sizes >= LEAST_M2) & (np.arange(len(sizes)) > 0)
-    return RoomScore(
-        int(large.sum()),
-        int(matches.any(axis=0)[large].sum()),
-        len(layout.rooms),
-        len(layout.rooms) - int(matches.any(axis=1).sum()),
-    )
+    return {
+        "labelled": int(large.sum()),
+        "found": int(matches.any(axis=0)[large].sum()),
+        "imported": len(layout.rooms),
+        "false": len(layout.rooms) - int(matches.any(axis=1).sum()),
+    }

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 
 from benchmarks.common import Figures, estimate
-from benchmarks.rough_pose import front_end
+from benchmarks.rough_pose import polygons_of
 from mecp_env.core.carriers import Array
 from mecp_env.slam.config import PolygonConfig, SlamConfig
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.mecp.cycles import order_by_bearing
-from mecp_env.slam.mecp.polygons import EdgeBeams, best_free_cycles, find_polygons
+from mecp_env.slam.mecp.polygons import EdgeBeams, best_free_cycles
 from mecp_env.world.config import LaserConfig
 from mecp_env.world.laser import Laser
 from mecp_env.world.layout import load_layout, shipped_layouts
@@ -64,11 +65,11 @@ def sites(kind: str, n: int, sets: int) -> list[Array]:
 def on_scans(layout: str, scans: int) -> Figures:
     """The whole stage with edge intervals, on scans from random poses in a layout at the paper's noise."""
     outline, config, rng = build_outline(load_layout(layout)), SlamConfig(), np.random.default_rng(0)
-    laser, polygons = Laser(outline, LaserConfig()), PolygonConfig()
+    laser = Laser(outline, LaserConfig())
     seen = [front_end(laser.scan(random_free_pose(outline, rng, 0.3), rng), config) for _ in range(scans)]
     return {
-        "sites": float(np.median([corners.sites.sum() for corners, _, _ in seen])),
-        "stage_us": median_us(lambda scan: find_polygons(scan[0], scan[1], polygons, scan[2]), seen),
+        "sites": float(np.median([found.corners.sites.sum() for found in seen])),
+        "stage_us": median_us(lambda found: polygons_of(found, config), seen),
     }
 
 

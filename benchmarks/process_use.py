@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
+OWN = ("Pss_Anon", "Pss_Shmem")  # pages: not of files of libraries, which are divided among all programs that run
 SHARED = re.compile(r"^\S+ ...s \S+ \S+ (\d+)", re.MULTILINE)  # the inode of a mapping that processes share
 
 
@@ -18,17 +19,8 @@ def processor_s(pids: Iterable[int | str]) -> float:
         return float("nan")
 
 
-def memory_mb(pids: Iterable[int | str]) -> float:
-    """Memory of the processes with shared pages divided (Pss)."""
-    return _pages_mb(pids, ["Pss"])
-
-
-def own_memory_mb(pids: Iterable[int | str]) -> float:
-    """The same without pages of files: of libraries, which are divided among all programs that run."""
-    return _pages_mb(pids, ["Pss_Anon", "Pss_Shmem"])
-
-
-def _pages_mb(pids: Iterable[int | str], kinds: Sequence[str]) -> float:
+def memory_mb(pids: Iterable[int | str], kinds: Sequence[str] = ("Pss",)) -> float:
+    """Memory of the processes with shared pages divided; of some kinds of pages."""
     try:
         pages = [Path(f"/proc/{pid}/smaps_rollup").read_text() for pid in pids]
         return sum(int(re.findall(rf"\n{kind}:\s+(\d+)", page)[0]) for page in pages for kind in kinds) / 1e3

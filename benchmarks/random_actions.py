@@ -19,12 +19,6 @@ def velocity(env: Any, rng: Generator) -> Any:
     return rng.uniform((0.3, -0.4), (1.0, 0.4)).astype(np.float32)
 
 
-def held(seed: int = 0) -> Choose:
-    """Velocities that are each held for ten control steps."""
-    commands = random_commands(seed)
-    return lambda env, rng: next(commands)
-
-
 def goal(env: Any, rng: Generator) -> int:
     """One of the goals that are offered."""
     rows = np.flatnonzero(env.get_wrapper_attr("action_masks")())
@@ -61,3 +55,11 @@ class RandomDriver:
         before = self.processor_s
         steps = sum(self.step() for _ in range(actions))
         return (self.processor_s - before) / steps
+
+
+def wander(env: Any, steps: int, seed: int = 0) -> None:
+    """Drive with random velocities that are each held for ten control steps."""
+    commands = random_commands(seed)
+    driver = RandomDriver(env, lambda env, rng: next(commands), seed)
+    for _ in range(steps):
+        driver.step()

@@ -63,7 +63,7 @@ Task = tuple[str, str, int]  # set, plan or number of scans or layout, start or 
 
 def run(options: Options) -> Figures:
     """Results of every set that there are data for."""
-    counts = chosen(options.sets, SETS) or (QUICK if options.quick else SETS)
+    counts = chosen(options, SETS, QUICK)
     skipped = {name: f"no {at}" for name in counts if (at := missing(name))}
     sys.stderr.writelines(f"{name}: skipped, {reason}\n" for name, reason in skipped.items())
     tasks = [task for name in counts if name not in skipped for task in tasks_of(name, counts[name], options.quick)]
@@ -105,7 +105,7 @@ def measure(task: Task, records: Records = IN_MEMORY) -> Figures:
     """The figures of one unit of work."""
     name, what, seed = task
     if name == PLANS:
-        return score_plan(plans()[what])._asdict()
+        return score_plan(plans()[what])
     if name in LOGS:
         return map_log(name, seed, None if what == "all" else int(what))
     if name == VIEW:
@@ -126,7 +126,7 @@ def explore(name: str, what: str, seed: int) -> Figures:
     if name == EXPLORED and seed == 0:
         MAPS.mkdir(parents=True, exist_ok=True)
         Image.fromarray(map_picture(env.get_wrapper_attr("view")())).save(MAPS / f"{what}.png")
-    return visit.figures
+    return visit
 
 
 def summarise(name: str, parts: Mapping[str, list[Figures]]) -> Figures:
@@ -142,7 +142,7 @@ def summarise(name: str, parts: Mapping[str, list[Figures]]) -> Figures:
         return {plan: summarise_visits(visits) for plan, visits in (together | dict(parts)).items()}
     (runs,) = parts.values()
     if name == VIEW:
-        return summary(runs, (*noise.COLUMNS, *noise.OF_RANGE, "polygon_share"))
+        return summary(runs, (*noise.COLUMNS, "polygon_share"))
     return summarise_log(runs) if name in LOGS else summarise_visits(runs)
 
 

@@ -13,7 +13,7 @@ from benchmarks import karto
 from benchmarks.common import Figures, estimate, is_installed, shared_data
 from mecp_env.cli.runs import final_view
 from mecp_env.evaluation.calibration import Calibration, calibrate_log
-from mecp_env.evaluation.log_run import LogRun, LogRunConfig, config_for, run_log
+from mecp_env.evaluation.log_run import LogRunConfig, config_for, run_log
 from mecp_env.logs import Log, read_log
 from mecp_env.render.screen import map_picture
 
@@ -61,14 +61,11 @@ def map_log(name: str, seed: int, scans: int | None = None) -> Figures:
     if seed == 0:
         MAPS.mkdir(parents=True, exist_ok=True)
         Image.fromarray(map_picture(final_view(run, name))).save(MAPS / f"{name}.png")
-    return run.metrics() | (rival_of(run) if is_installed(karto.PACKAGE) else {})
-
-
-def rival_of(run: LogRun) -> Figures:
-    """Figures of OpenKarto on the same scans and odometry."""
+    if not is_installed(karto.PACKAGE):
+        return run.metrics()
     rows, raw = np.searchsorted(run.log.t, run.t), run.log.T_odom_robot
     odometry = run.T_odom_robot if raw is None else raw[rows]  # made of the reference path, or that of the log
-    return karto.figures(run.log, rows, karto.run(run.log, rows, odometry))
+    return run.metrics() | karto.figures(run.log, rows, odometry)
 
 
 def summarise(runs: list[dict[str, Any]]) -> Figures:

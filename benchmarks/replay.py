@@ -12,7 +12,6 @@ from pathlib import Path
 
 from benchmarks.browser import Browser, chromium
 from benchmarks.common import Figures, OptionError, Options, estimate
-from benchmarks.tables import table
 from mecp_env.cli.runs import Run
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
@@ -52,8 +51,3 @@ def show(page: Path) -> tuple[float, float]:
         browser.press(" ")
         time.sleep(PLAYED_S)
         return first, (browser.ask(DRAWN) - drawn) / (time.monotonic() - start)
-
-
-def report(figures: Figures) -> str:
-    """One row."""
-    return table(["steps", "page, kB", "first frame, s", "frames per second"], [tuple(figures.values())])

@@ -22,13 +22,13 @@ import numpy as np
 import mecp_env
 from benchmarks.common import Figures, Options, in_parallel
 from benchmarks.random_actions import goal, sample, velocity
-from benchmarks.tables import listed, table
 from benchmarks.worlds import PIXEL_M, plans_at_hand
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam import SlamConfig, SlamPipeline
 from mecp_env.slam.config import KINDS, METHODS
 from mecp_env.world.config import DIFFICULTIES, SPLITS
 from mecp_env.world.layout import LIBRARY
+from tests.env.helpers import same
 
 RUNS, QUICK = 1000, 10
 MORE = 3  # steps after a state
@@ -145,23 +145,6 @@ def is_restored(env: Any) -> bool:
         return first.read_bytes() == second.read_bytes()
 
 
-def same(first: Any, second: Any) -> bool:
-    """True when all values are equal to the bit, nan too."""
-    if isinstance(first, np.ndarray):
-        return first.dtype == second.dtype and first.shape == second.shape and first.tobytes() == second.tobytes()
-    if isinstance(first, dict):
-        return first.keys() == second.keys() and all(same(first[key], second[key]) for key in first)
-    if isinstance(first, list | tuple):
-        return len(first) == len(second) and all(map(same, first, second))
-    return type(first) is type(second) and repr(first) == repr(second)
-
-
 def faults(figures: Figures) -> list[str]:
     """The failures."""
     return list(figures["failures"].values())
-
-
-def report(figures: Figures) -> str:
-    """The counts, and every failure."""
-    counts, found = figures["all"], listed(faults(figures), "All came back to the bit.")
-    return f"{table(list(counts), [tuple(counts.values())])}\n\n{found}"

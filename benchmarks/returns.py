@@ -2,23 +2,22 @@
 
 Each policy explores the same buildings of the split `test` from the same starts, with the default reward of the task.
 The metric is the mean over the step limit of coverage, or of correct coverage in the tasks of active SLAM. `tau` is
-Kendall's rank correlation of mean return and mean metric over the policies, `tau, apart` that over the pairs whose
-difference in the metric, paired by building, has an interval without 0. `r` is Pearson's correlation over all episodes
-of all policies. `random / nearest` is the return of the random policy as a share of that of `nearest`, beside the same
-share of the metric. The benchmark fails where a policy that is better by the metric is worse by the return, both with
-intervals without 0.
+Kendall's rank correlation of mean return and mean metric over the policies, `tau_apart` that over the pairs whose
+difference in the metric, paired by building, has an interval without 0 (`pairs_apart`, of all pairs). `r` is Pearson's
+correlation over all episodes of all policies. `random_of_nearest` is the return of the random policy as a share of that
+of `nearest`, beside the same share of the metric. The benchmark fails where a policy that is better by the metric is
+worse by the return, both with intervals without 0.
 """
 
 from __future__ import annotations
 
 from itertools import combinations
-from typing import Any
 
 import numpy as np
 from scipy.stats import kendalltau
 
 from benchmarks.common import Figures, Options, correlation, estimate, ratio
-from benchmarks.tables import table
+from benchmarks.tables import one_table
 from benchmarks.uncertainty import buildings_of, checked, rows_of
 from mecp_env.core.carriers import Array
 from mecp_env.episode.tasks import TASKS
@@ -38,7 +37,7 @@ SETS = tuple(SETTINGS)
 BUILDINGS, QUICK_BUILDINGS = 20, 2
 COVERAGE, CORRECT = "coverage_over_steps", "correct_over_steps"
 REFERENCE, RANDOM = "nearest", "random_goal"
-NONE = {"value": None}
+AGREEMENT = ("tau", "tau_apart", "pairs_apart", "r", "random_of_nearest", "random_of_nearest_metric")
 
 
 def run(options: Options) -> Figures:
@@ -99,20 +98,10 @@ def faults(figures: Figures) -> list[str]:
 def report(figures: Figures) -> str:
     """How they agree in each task, and the returns of all policies."""
     tasks = figures["tasks"]
-    heads = ["task", "tau", "tau, apart", "pairs apart", "r", "random / nearest: return", "metric"]
-    rows = [
-        [
-            *(name, task["tau"], task["tau_apart"], "{} of {}".format(*task["pairs_apart"]), task["r"]),
-            *(task.get("random_of_nearest", NONE), task.get("random_of_nearest_metric", NONE)),
-        ]
-        for name, task in tasks.items()
-    ]
-    names = dict.fromkeys(policy for task in tasks.values() for policy in task["policies"])
-    by_policy = [[name, *(both(task["policies"].get(name)) for task in tasks.values())] for name in names]
-    returns = table(["return / metric", *tasks], by_policy)
-    return f"{table(heads, rows)}\n\n## Return by policy and task\n\n{returns}"
-
-
-def both(found: dict[str, Any] | None) -> str:
-    """Mean return with its interval, and mean metric."""
-    return f"{cell(found['return'], '.3f')} / {found['metric']['value']:.3f}" if found else "-"
+    agreement = {name: {key: task[key] for key in AGREEMENT if key in task} for name, task in tasks.items()}
+    returns: dict[str, Figures] = {}
+    for name, task in tasks.items():
+        for policy, of in task["policies"].items():
+            both = f"{cell(of['return'], '.3f')} / {of['metric']['value']:.3f}"
+            returns.setdefault(policy, {})[name] = both
+    return f"{one_table(agreement)}\n\n## Return / metric by policy and task\n\n{one_table(returns)}"

@@ -12,13 +12,13 @@ from benchmarks.common import Figures
 from benchmarks.drives import Drive
 from benchmarks.kiss import KissPointsAssociator
 from benchmarks.tables import columns_of
-from mecp_env.core.carriers import Array, Bools, Ints
+from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse
 from mecp_env.evaluation.metrics import AssociationLog
-from mecp_env.slam import Scan, SlamConfig, SlamPipeline
-from mecp_env.slam.frontend import front_end as features_of
+from mecp_env.slam import SlamConfig, SlamPipeline
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.mecp import find_structure
-from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon
+from mecp_env.slam.messages import UNKNOWN_ROOM, Corners, MapView, Match, MergedScan, Polygon, ScanFeatures
 from mecp_env.slam.protocols import Associator, Filter
 
 FIRST_SCAN = 10  # of a drive
@@ -67,23 +67,21 @@ def finish(drive: Drive) -> Finished:
 
 def look(drive: Drive, finished: Finished, step: int) -> Look:
     """The features of a scan of the drive."""
-    corners, beams, wall = front_end(drive.scans[step], drive.slam)
-    polygons = find_structure(corners, beams, drive.slam.polygon, wall)
-    T_world_robot = drive.T_world_robot[step]
-    T_map_robot = compose(finished.T_map_world, T_world_robot)
-    return Look(corners, polygons, drive.truth.identify(corners, T_world_robot), T_map_robot, beams)
+    found, T_world_robot = front_end(drive.scans[step], drive.slam), drive.T_world_robot[step]
+    polygons = polygons_of(found, drive.slam)
+    true = drive.truth.identify(found.corners, T_world_robot)
+    return Look(found.corners, polygons, true, compose(finished.T_map_world, T_world_robot), found.beams)
+
+
+def polygons_of(found: ScanFeatures, slam: SlamConfig) -> tuple[Polygon, ...]:
+    """The polygons of a scan."""
+    return find_structure(found.corners, found.beams, slam.polygon, found.wall)
 
 
 def drawn_looks(drive: Drive, finished: Finished, count: int, rng: np.random.Generator) -> list[Look]:
     """So many scans of the drive, drawn at random."""
     steps = rng.choice(np.arange(FIRST_SCAN, len(drive.scans)), count, replace=False)
     return [look(drive, finished, int(step)) for step in steps]
-
-
-def front_end(scan: Scan, slam: SlamConfig) -> tuple[Corners, MergedScan, Bools]:
-    """Corners of a scan, its beams, and which of these end on a wall."""
-    found = features_of(scan, slam)
-    return found.corners, found.beams, found.wall
 
 
 def count_scans(finished: Finished, associator: Associator, looks: list[Look], sigma: Sigma, errors: Array) -> Figures:

@@ -16,11 +16,10 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.common import Figures, Options, chosen, estimate, grouped, in_parallel
+from benchmarks.common import Figures, Options, estimate, grouped, in_parallel, runs_of
+from benchmarks.drives import exploration
 from benchmarks.stopwatch import timed_stages
-from benchmarks.tables import table
 from mecp_env.env import MecpEnv
-from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.world.config import GeneratorSpec
 from mecp_env.world.generator import generate
 from mecp_env.wrappers import GoalActions
@@ -41,9 +40,8 @@ Drift = list[tuple[float, bool]]  # pose error in m, and whether the pose is kno
 
 def run(options: Options) -> Figures:
     """Results of each kind at each number of landmarks; --quick: one building, 55 and 300 landmarks."""
-    buildings = chosen(options.sets, SETS) or SETS
-    counts, buildings = (QUICK, dict.fromkeys(buildings, 1)) if options.quick else (COUNTS, buildings)
-    tasks = [(kind, max(counts), seed) for kind in buildings for seed in range(buildings[kind])]
+    most = max(QUICK if options.quick else COUNTS)
+    tasks = [(kind, most, seed) for kind, seed in runs_of(options, SETS, quick=1)]
     results = grouped(tasks, in_parallel(measure, dict[str, list[float]], tasks, options))
     return {kind: summarise(of_kind) for (kind, _), of_kind in results.items()}
 
@@ -65,28 +63,26 @@ def measure(task: tuple[str, int, int]) -> dict[str, list[float]]:
 
 def explored(env: GoalActions, seed: int, counts: list[int]) -> tuple[dict[int, dict[str, Any]], Drift]:
     """The state of an exploration when its map had so many landmarks, and its drift up to `STEPS`."""
-    states, drift, policy = dict[int, dict[str, Any]](), Drift(), BreadthFirst()
-    observation, _ = env.reset(seed=seed)
+    states, drift, left = dict[int, dict[str, Any]](), Drift(), list(counts)
     env.callback, env.observes = lambda step: drift.append((step[4]["pose_error_m"], step[4]["localised"])), False
-    over = False
-    while not over and (len(drift) < STEPS or len(states) < len(counts)):
-        observation, _, terminated, truncated, _ = env.step(policy.act(observation, env.action_masks()))
-        over, landmarks = terminated or truncated, len(env.base.slam_output.belief.ids)
-        if not over and len(states) < len(counts) and landmarks >= counts[len(states)]:
-            states[counts[len(states)]] = env.base.get_state()
+    for _, _, terminated, truncated, _ in exploration(env, seed):
+        if left and not (terminated or truncated) and len(env.base.slam_output.belief.ids) >= left[0]:
+            states[left.pop(0)] = env.base.get_state()
+        if not left and len(drift) >= STEPS:
+            break
     env.callback, env.observes = None, True
     return states, drift[:STEPS]
 
 
 def block(env: GoalActions, state: dict[str, Any]) -> float:
     """Microseconds per step from a state on."""
-    policy, periods, over = BreadthFirst(), 0, False
     env.base.set_state(state)
-    observation = env.base.observation()
+    periods = 0
     with timed_stages(each=False) as watch:
-        while periods < BLOCK and not over:
-            observation, _, terminated, truncated, info = env.step(policy.act(observation, env.action_masks()))
-            periods, over = periods + info["periods"], terminated or truncated
+        for *_, info in exploration(env, None):
+            periods += info["periods"]
+            if periods >= BLOCK:
+                break
     return 1e6 * (watch.seconds["step"] + watch.seconds["drive"]) / watch.steps
 
 
@@ -98,16 +94,3 @@ def summarise(buildings: list[dict[str, list[float]]]) -> Figures:
         us, few = (np.array([of[n] for of in buildings if count in of]) for n in (count, str(COUNTS[0])))
         figures[count] = {"us": estimate(us.mean(axis=1)), "ratio": estimate((us / few).mean(axis=1))}
     return figures
-
-
-def report(figures: Figures) -> str:
-    """Times, then the drift."""
-    counts = [count for count in next(iter(figures.values())) if count != DRIFT]
-    rows = [
-        (f"{kind}, {name}", *(of_kind[count][name] for count in counts))
-        for kind, of_kind in figures.items()
-        for name in ("us", "ratio")
-    ]
-    drift = [(kind, *(of[DRIFT][name] for name in COLUMNS)) for kind, of in figures.items() if DRIFT in of]
-    heads = ["", "pose error, median, m", "95 % quantile, m", "share without a known pose"]
-    return f"{table(['', *counts], rows)}\n\n## Drift\n\n{table(heads, drift)}"

@@ -18,7 +18,7 @@ from typing import Any
 from benchmarks.common import Figures, Options, runs_of
 from benchmarks.drives import replay
 from benchmarks.records import HARD, IN_MEMORY, Course, Records, on_records, place
-from benchmarks.tables import summary, table_of
+from benchmarks.tables import summary
 
 MAX_STEPS, FIRST_SEED, FIRST_BUILDING = 500, 2000, 950
 LAYOUTS = ("furnished", HARD, "paper", "office")  # one after the other
@@ -50,9 +50,3 @@ def counted(drive_of: tuple[str, int], records: Records = IN_MEMORY) -> Figures:
     fields = {"estimator": "truth", "max_steps": MAX_STEPS, **ROWS[name]}
     drive = records.drive(Course(where, FIRST_SEED + seed, fields))
     return replay(drive, drive.slam).counts
-
-
-def report(figures: Figures) -> str:
-    """One row per sensor."""
-    n = max(row["nees"]["n"] for row in figures.values())
-    return f"Drives per sensor: {n}.\n\n{table_of('sensor', COLUMNS, figures)}"

@@ -21,10 +21,10 @@ import gymnasium
 import numpy as np
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Options, chosen, in_parallel, ratio, show_progress
-from benchmarks.process_use import open_files, own_memory_mb, processor_s, shared_segments
+from benchmarks.common import Figures, Options, chosen, in_parallel, ratio
+from benchmarks.process_use import OWN, memory_mb, open_files, processor_s, shared_segments
 from benchmarks.random_actions import RandomDriver, goal
-from benchmarks.tables import columns_of, listed, turned
+from benchmarks.tables import columns_of
 
 NAME, COUNT = "mecp_env/Rooms-v0", 16
 SETTING: dict[str, Any] = {"crowd": {"people": 2}, "clutter": {"movable_boxes": 2}, "max_steps": 200}
@@ -74,7 +74,7 @@ def driver_of(kind: str) -> Any:
 
 def run(options: Options) -> Figures:
     """The figures of each set; one after the other, each kept when it is finished."""
-    counts = chosen(options.sets, SETS, MOST) or (QUICK if options.quick else SETS)
+    counts = chosen(options, SETS, QUICK, MOST)
     soaks = in_parallel(soak, Soak, list(counts.items()), replace(options, jobs=1))
     return {name: summarise(result) for name, result in zip(counts, soaks, strict=True)}
 
@@ -86,10 +86,8 @@ def soak(task: tuple[str, int]) -> Soak:
     before = opened(["self"])
     driver, watched, block = driver_of(kind), Soak(), max(steps // SLICES, 1)
     drive(driver, block * TENTH, watched, 2 * getattr(driver.env, "num_envs", 1))
-    pids, begun = ["self", *getattr(driver.env, "pids", ())], time.monotonic()
-    for number in range(SLICES):
-        watched.slices.append(watch(driver, pids, block, watched))
-        show_progress(number + 1, SLICES, time.monotonic() - begun)
+    pids = ["self", *getattr(driver.env, "pids", ())]
+    watched.slices += [watch(driver, pids, block, watched) for _ in range(SLICES)]
     driver.env.close()
     watched.left_behind = max(opened(pids) - before, 0)
     return watched
@@ -106,7 +104,7 @@ def watch(driver: Any, pids: list[Any], steps: int, watched: Soak) -> dict[str, 
     memory = []
     for _ in range(SAMPLES):
         counted += drive(driver, max(steps // SAMPLES, 1), watched)
-        memory.append(own_memory_mb(pids))
+        memory.append(memory_mb(pids, OWN))
     used = {"seconds": time.perf_counter() - start, "processor_s": processor_s(pids) - spent}
     used |= {"steps": counted, "episodes": driver.episodes - episodes, "memory_mb": float(np.mean(memory))}
     return used | {"files": open_files(pids), "segments": shared_segments(pids)}
@@ -125,26 +123,21 @@ def drive(driver: Any, steps: int, watched: Soak, least: int = 0) -> int:
 
 def summarise(soak: Soak) -> Figures:
     """The figures of a run: first and last tenth, and what must be none."""
-    of, tenths = columns_of(soak.slices), (slice(0, TENTH), slice(-TENTH, None))
-    first, last = tenths
-    memory = [float(of["memory_mb"][tenth].mean()) for tenth in tenths]
-    files, segments = ([int(of[name][tenth].max()) for tenth in tenths] for name in ("files", "segments"))
-    rate = [float(of["steps"][tenth].sum() / of["seconds"][tenth].sum()) for tenth in tenths]
-    per_step = of["processor_s"] / of["steps"]
+    first, last = columns_of(soak.slices[:TENTH]), columns_of(soak.slices[-TENTH:])
     return {
-        "steps": int(of["steps"].sum()),
-        "episodes": int(of["episodes"].sum()),
-        "memory_mb": memory[1],
-        "growth_mb": memory[1] - memory[0],
-        "files": files[1],
-        "more_files": files[1] - files[0],
-        "segments": segments[1],
-        "more_segments": segments[1] - segments[0],
+        "steps": int(sum(used["steps"] for used in soak.slices)),
+        "episodes": int(sum(used["episodes"] for used in soak.slices)),
+        "memory_mb": float(last["memory_mb"].mean()),
+        "growth_mb": float(last["memory_mb"].mean() - first["memory_mb"].mean()),
+        "files": int(last["files"].max()),
+        "more_files": int(last["files"].max() - first["files"].max()),
+        "segments": int(last["segments"].max()),
+        "more_segments": int(last["segments"].max() - first["segments"].max()),
         "wrong_observations": soak.wrong,
         "left_behind": soak.left_behind,
-        "steps_per_s_first": rate[0],
-        "steps_per_s_last": rate[1],
-        "processor_time_last_over_first": ratio(per_step[last], per_step[first]),
+        "steps_per_s_first": float(first["steps"].sum() / first["seconds"].sum()),
+        "steps_per_s_last": float(last["steps"].sum() / last["seconds"].sum()),
+        "processor_time_last_over_first": ratio(*(of["processor_s"] / of["steps"] for of in (last, first))),
     }
 
 
@@ -157,8 +150,3 @@ def faults(figures: Figures) -> list[str]:
         found += [f"{name}: {key} {least[key]:.4g}, at most {BOUNDS[key]:g}" for key in over]
         found += [f"{name}: no episode ended"] * (not values["episodes"])
     return found
-
-
-def report(figures: Figures) -> str:
-    """One column per set."""
-    return f"{turned(figures)}\n\n{listed(faults(figures), 'All within their bounds.')}"

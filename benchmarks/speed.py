@@ -18,9 +18,9 @@ from benchmarks.common import Figures, Options
 from benchmarks.drives import exploration
 from benchmarks.in_tree import BEAMS, SWEEPS
 from benchmarks.polygon_speed import median_us
-from benchmarks.random_actions import RandomDriver, held
+from benchmarks.random_actions import wander
 from benchmarks.stopwatch import timed_stages
-from benchmarks.tables import sections, table, table_of
+from benchmarks.tables import all_figures, one_table, sections, table_of, turned
 from mecp_env.core.carriers import Array
 from mecp_env.env import MecpEnv
 from mecp_env.world.config import LaserConfig
@@ -57,17 +57,10 @@ def timed(sweeps: int, steps: int, drive: Callable[[MecpEnv, int], None]) -> Fig
     return {"steps_per_s": watch.steps_per_s, "with_driver_per_s": with_driver, "us": stages.microseconds()}
 
 
-def wander(env: MecpEnv, steps: int) -> None:
-    """Random velocities."""
-    driver = RandomDriver(env, held())
-    for _ in range(steps):
-        driver.step()
-
-
 def explore(env: MecpEnv, steps: int) -> None:
     """Whole explorations, one after the other, until enough steps are over."""
     goals, seen = GoalActions(env), 0
-    for info, _ in (goal for seed in count() for goal in exploration(goals, seed)):
+    for *_, info in (goal for seed in count() for goal in exploration(goals, seed)):
         seen += info["periods"]
         if seen >= steps:
             return
@@ -126,20 +119,15 @@ def brute_force(outline: Outline, T_world_robot: Array) -> Array:
 def report(figures: Figures) -> str:
     """Tables: steps per second, time per stage, rays, polygons."""
     settings = {f"{k}, {actions}": of for k, both in figures["env"].items() for actions, of in both.items()}
-    stages = [(stage, *(of["us"][stage] for of in settings.values())) for stage in next(iter(settings.values()))["us"]]
-    kernel = figures["polygon"]["kernel"]
-    sites = [(n, *(kernel[kind][n] for kind in ("uniform", "convex"))) for n in kernel["uniform"]]
-    rates, heads = ("steps_per_s", "with_driver_per_s"), ["sites", "uniform", "convex position"]
+    polygon, rates = figures["polygon"], ("steps_per_s", "with_driver_per_s")
     return sections(
         {
             "Steps per second (layout `paper`, 720 beams, one core)": table_of("sweeps, actions", rates, settings),
-            "Time per stage, us": table(["stage", *settings], stages),
+            "Time per stage, us": turned({name: of["us"] for name, of in settings.items()}),
             "MiniGrid and ir-sim": peers.report(figures["peers"]),
-            "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{crowd_speed.report(figures['crowd'])}",
-            "720 rays, us (median over poses)": table(["what", "value"], figures["rays"].items()),
-            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": table(heads, sites),
-            "The polygon stage on scans, edge intervals included (median)": table_of(
-                "layout", ("sites", "stage_us"), figures["polygon"]["scans"]
-            ),
+            "A larger building, and pedestrians": f"{crowd_speed.__doc__}\n{one_table(figures['crowd'])}",
+            "720 rays, us (median over poses)": all_figures(figures["rays"]),
+            "Maximum Empty Convex Polygon, search and wall-crossing check, us (median)": turned(polygon["kernel"]),
+            "The polygon stage on scans, edge intervals included (median)": one_table(polygon["scans"]),
         }
     )

@@ -10,7 +10,7 @@ import tempfile
 from pathlib import Path
 
 from benchmarks.common import Figures, Options
-from benchmarks.tables import summary, table_of
+from benchmarks.tables import summary
 from benchmarks.trees import HERE, in_turns_by_tree, run_in
 
 RUNS, QUICK_RUNS = 3, 1
@@ -19,7 +19,10 @@ RUNS, QUICK_RUNS = 3, 1
 def run(options: Options) -> Figures:
     """Figures of the working tree; with `options.against` those of the other tree beside them."""
     found = in_turns_by_tree(options, QUICK_RUNS if options.quick else RUNS, first_start)
-    figures = {name: summarise(runs) for name, runs in found.items()}
+    figures = {
+        name: summary(runs, ("cpu_s", "wall_s")) | {"cache_files": max(run["cache_files"] for run in runs)}
+        for name, runs in found.items()
+    }
     other = {"commit": options.against, **figures[options.against]} if options.against else None
     return figures[HERE] | ({"against": other} if other else {})
 
@@ -29,16 +32,3 @@ def first_start(tree: Path) -> Figures:
     with tempfile.TemporaryDirectory(prefix="mecp_env-cache-") as cache:
         used = run_in(tree, "start", NUMBA_CACHE_DIR=cache)
         return used | {"cache_files": sum(path.is_file() for path in Path(cache).rglob("*"))}
-
-
-def summarise(runs: list[Figures]) -> Figures:
-    """Mean times with intervals; the number of files is the same in every run, or else the largest counts."""
-    return summary(runs, ("cpu_s", "wall_s")) | {"cache_files": max(run["cache_files"] for run in runs)}
-
-
-def report(figures: Figures) -> str:
-    """One row for each tree."""
-    trees = {HERE: figures}
-    if "against" in figures:
-        trees[figures["against"]["commit"]] = figures["against"]
-    return table_of("tree", ("cpu_s", "wall_s", "cache_files"), trees)

@@ -22,7 +22,6 @@ import numpy as np
 from benchmarks.common import Figures, Options, estimate, steps_per_s
 from benchmarks.process_use import processor_s
 from benchmarks.random_actions import RandomDriver, sample
-from benchmarks.tables import whole_rows
 
 ROOMS = "mecp_env/Rooms-v0"
 MODULE_AND_ID = f"mecp_env:{ROOMS}"  # the processes of SubprocVecEnv import the package first
@@ -35,13 +34,12 @@ class Case(NamedTuple):
 
     observation: str
     actions: str = "velocity"
-    environments: int = 2
-    batch: bool = False  # of mecp_env, instead of SubprocVecEnv
+    environments: int = 2  # more than two: in the batch of mecp_env, instead of SubprocVecEnv
     part: int = 1  # of 4,096 actions in a rollout, where these would take minutes
 
     @property
     def name(self) -> str:
-        kind = "batch" if self.batch else "SubprocVecEnv"
+        kind = "batch" if self.environments > 2 else "SubprocVecEnv"
         return f"{self.observation}, {self.actions}, {kind} of {self.environments}"
 
     @property
@@ -55,14 +53,14 @@ class Case(NamedTuple):
 
         from mecp_env.learning import sb3_batch
 
-        if self.batch:
+        if self.environments > 2:
             return sb3_batch.make(ROOMS, self.environments, workers=2, **self.fields)
         return make_vec_env(MODULE_AND_ID, self.environments, env_kwargs=self.fields, vec_env_cls=SubprocVecEnv)
 
 
 CASES = (
     Case("flat"),
-    Case("flat", environments=16, batch=True),
+    Case("flat", environments=16),
     Case("flat", actions="goal", part=8),
     Case("image", part=2),
     Case("dict", part=4),
@@ -109,10 +107,3 @@ def learn(model: Any, actions: int) -> tuple[float, float, float]:
     model.learn(actions, callback=count)
     seconds, steps = time.perf_counter() - start, sum(counts)
     return steps / seconds, (time.process_time() - used) / steps, (processor_s(others) - before) / steps
-
-
-def report(figures: Figures) -> str:
-    """One row per case."""
-    heads = ["observation, actions, environments", "steps per second, including learning", "single environment"]
-    heads += ["ratio", "CPU ms per step: learner", "environments", "steps per second of two idle cores"]
-    return whole_rows(heads, figures)

@@ -23,16 +23,16 @@ from benchmarks.common import Figures, Options, estimate, ratio, runs_of
 from benchmarks.drives import Drive, replay
 from benchmarks.polygon_speed import median_us
 from benchmarks.records import HARD, IN_MEMORY, Records, on_records
-from benchmarks.rough_pose import COLUMNS, front_end, named, right_share
-from benchmarks.tables import by_row, columns_of, sections, summary, table_of, turned
-from benchmarks.variants import DEFAULT, with_change
+from benchmarks.rough_pose import COLUMNS, named, polygons_of, right_share
+from benchmarks.tables import by_row, columns_of, summary
+from benchmarks.variants import DEFAULT, rows_of, with_change
 from mecp_env.slam import SlamConfig, config
-from mecp_env.slam.mecp import find_structure
+from mecp_env.slam.frontend import front_end
 
 SETS = {"paper": 30, "furnished": 15, "office": 10, "twins": 100, HARD: 8}
 ROUGH = {"paper": 10, "furnished": 10, "twins": 10, HARD: 6}  # drives of the second part
 SIGMAS = ((1.0, 10.0), (2.0, 20.0))
-VARIANTS = (DEFAULT, "mecp without descriptor")
+VARIANTS = rows_of(DEFAULT, "mecp without descriptor")
 SUMMARY = ("precision", "recall", "duplicates_per_corner", "closure_recall", "events", "rmse_m", "map_rmse_m", "lost")
 OF_POLYGONS = ("by_polygon", "recognised", "unique", "vertices", "area_m2", "us")
 TIMED_SCANS = 25  # of a drive
@@ -57,20 +57,18 @@ def measure(unit: tuple[str, str, int], records: Records = IN_MEMORY) -> Figures
     drive, found = records.drive((loop if kind == "rough" else association).course(layout, seed)), Figures()
     for name in (*config.STRUCTURE_NAMES.ours, *config.STRUCTURE_NAMES.others):
         own = replace(drive, slam=with_change(drive.slam, {"polygon": {"structure": name}}))
-        found[name] = loop.on_drive(own, loop.SCANS, seed, VARIANTS, SIGMAS) if kind == "rough" else closed_loop(own)
+        if kind == "rough":
+            found[name] = loop.on_drive(own, loop.SCANS, seed, VARIANTS, SIGMAS)
+        else:
+            found[name] = association.counts(own, replay(own, own.slam)) | {"us": time_us(own, own.slam)}
     return found
-
-
-def closed_loop(drive: Drive) -> Figures:
-    """Counts of one drive."""
-    return {**association.counts(drive, replay(drive, drive.slam)), "us": time_us(drive, drive.slam)}
 
 
 def time_us(drive: Drive, slam: SlamConfig) -> float:
     """Microseconds of one call, the median over scans of a drive."""
     scans = drive.scans[:: max(len(drive.scans) // TIMED_SCANS, 1)]
     fronts = [front_end(scan, slam) for scan in scans]
-    return median_us(lambda seen: find_structure(seen[0], seen[1], slam.polygon, seen[2]), fronts, repeats=5)
+    return median_us(lambda found: polygons_of(found, slam), fronts, repeats=5)
 
 
 def of_closed(runs: list[Figures], base: list[Figures]) -> Figures:
@@ -95,16 +93,3 @@ def of_rough(runs: list[Any], base: list[Any]) -> Figures:
         gained = right_share(own) - right_share(usual)
         figures[f"{variant}, {sigma}"] = summary(own, COLUMNS) | {"right_minus_mecp": estimate(gained)}
     return figures
-
-
-def report(figures: Figures) -> str:
-    """Per layout the tables of both parts."""
-    parts = {}
-    columns = ("right", "wrong", "wrong_pairs", "polygon", "right_minus_mecp")
-    for layout, rows in figures["closed"].items():
-        parts[f"{layout}, closed loop"] = turned(rows)
-        rough = figures["rough"].get(layout, {})
-        cells = {f"{name}: {cell}": row for name, of in rough.items() for cell, row in of.items()}
-        if cells:
-            parts[f"{layout}, rough pose"] = table_of("structure: associator, sigma", columns, cells)
-    return sections(parts)

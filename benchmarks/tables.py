@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -40,6 +40,7 @@ RATIOS = {  # figures that are a sum over a sum, where the runs have both
     **{name: f"{name}/scans" for name in ("found", "polygon", "possible", "recognised", "right")},
 }
 SHARES = ("lost", "complete", "seen", "stuck", "early", "reached_90%", "reached_99%")  # of the runs
+MOST_COLUMNS = 15  # of a table with a row for each name
 SUMS = {"wrong_pairs": "wrong"} | {name: name for name in ("events", "far", "scans")}  # figure -> what is counted
 
 
@@ -57,6 +58,11 @@ def summary(runs: Sequence[Mapping[str, Any]], names: Iterable[str]) -> Figures:
     """Some figures of n runs: ratios of sums, shares of the runs and means, with 95 % intervals, and numbers in all."""
     columns = columns_of(runs)
     return {name: _figure(columns, name) for name in names}
+
+
+def summaries(rows: Mapping[str, Sequence[Mapping[str, Any]]], names: Iterable[str]) -> dict[str, Figures]:
+    """`summary` of the runs of each row."""
+    return {name: summary(runs, names) for name, runs in rows.items()}
 
 
 def _figure(columns: Mapping[str, Array], name: str) -> Any:
@@ -105,19 +111,54 @@ def turned(settings: Rows, titles: Sequence[str] = ()) -> str:
     return table(["", *(titles or settings)], rows)
 
 
-def whole_rows(heads: Sequence[str], rows: Rows) -> str:
-    """A table with all figures of each named row, below the given headings."""
-    return table(heads, [(name, *row.values()) for name, row in rows.items()])
+def report_of(figures: Mapping[str, Any]) -> str:
+    """Tables of nested figures: a row for each path of names, in a section named by all but the last of them."""
+    if any(map(is_figure, figures.values())):
+        return all_figures(figures)
+    tables: dict[str, dict[str, Any]] = {}
+    for (*names, last), row in rows_in(figures):
+        tables.setdefault(", ".join(names), {})[last] = row
+    parts = {f"{title}{runs_of(rows)}": grid(rows) for title, rows in tables.items() if title}
+    return "\n\n".join(filter(None, (grid(tables.get("", {})), sections(parts))))
+
+
+def one_table(figures: Mapping[str, Any]) -> str:
+    """A table of nested figures with a row for each path of names."""
+    return grid({", ".join(path): row for path, row in rows_in(figures)})
+
+
+def rows_in(figures: Mapping[str, Any], path: Sequence[str] = ()) -> Iterator[tuple[Sequence[str], Figures]]:
+    """The path of names to each row, and its figures."""
+    own = {name: of for name, of in figures.items() if is_figure(of)}
+    if own:
+        yield path, own
+    for name in figures:
+        if name not in own:
+            yield from rows_in(figures[name], (*path, name))
+
+
+def runs_of(rows: Rows) -> str:
+    """The number of runs for a title, where all estimates have the same."""
+    counts = {figure["n"] for row in rows.values() for figure in row.values() if isinstance(figure, dict)}
+    return f" (n = {counts.pop()})" if len(counts) == 1 else ""
+
+
+def grid(rows: Rows) -> str:
+    """A table with all figures of each named row; with many figures, each of them is a row."""
+    columns = list(dict.fromkeys(name for row in rows.values() for name in row))
+    if len(columns) > MOST_COLUMNS:
+        return turned(rows)
+    return table_of("", columns, rows) if rows else ""
+
+
+def all_figures(figures: Mapping[str, Any]) -> str:
+    """One table of all figures."""
+    return table(["figure", "value [95 % interval]"], flatten(figures).items())
 
 
 def sections(bodies: Mapping[str, str]) -> str:
     """The parts of a page below their titles."""
     return "\n\n".join(f"## {title}\n\n{body}" for title, body in bodies.items())
-
-
-def listed(lines: Sequence[str], none: str) -> str:
-    """Lines as a list; `none` without any."""
-    return "\n".join(f"- {line}" for line in lines) or none
 
 
 def readable(figure: object) -> str:
@@ -131,9 +172,14 @@ def readable(figure: object) -> str:
     return str(figure)
 
 
+def is_figure(found: Any) -> bool:
+    """Whether something is a figure (a number, a text or an estimate), not figures by name."""
+    return not isinstance(found, dict) or {"value", "low", "high"} <= found.keys()
+
+
 def flatten(figures: Any, path: str = "") -> dict[str, Any]:
-    """Path -> figure (a number, a text or an estimate)."""
-    if not isinstance(figures, dict) or {"value", "low", "high"} <= figures.keys():
+    """Path -> figure."""
+    if is_figure(figures):
         return {path: figures}
     flat: dict[str, Any] = {}
     for name, inner in figures.items():

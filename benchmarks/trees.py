@@ -19,13 +19,14 @@ from pathlib import Path
 from typing import Any
 
 from benchmarks.common import OptionError, Options, in_turns
+from mecp_env.core.errors import MecpError
 
 WORKING_TREE = Path(__file__).resolve().parent.parent
 SCRIPT = Path(__file__).with_name("in_tree.py")
 HERE = "working tree"
 
 
-class TreeError(RuntimeError):
+class TreeError(MecpError):
     """A tree could not be run."""
 
 

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 
 from benchmarks.common import Figures, OptionError, Options, chosen, estimate, in_parallel, share
 from benchmarks.plots import Panel, panel_rows
-from benchmarks.tables import sections, table
+from benchmarks.tables import one_table, sections
 from mecp_env.core.settings import guess
 from mecp_env.episode.tasks import TASKS
 from mecp_env.policies.evaluation import Evaluation, Row
@@ -61,12 +61,11 @@ def checked(policies: Sequence[str]) -> tuple[str, ...]:
     return tuple(dict.fromkeys(policies))
 
 
-def buildings_of(options: Options, settings: Iterable[str], each: int) -> dict[str, int]:
+def buildings_of(options: Options, settings: Iterable[str], each: int) -> Mapping[str, int]:
     """Number of buildings in each setting, or in those of --sets. Raises `OptionError` for more than the split has."""
     if options.buildings > MOST:
         raise OptionError(f"--buildings {options.buildings}: the split has {MOST}")
-    counts = dict.fromkeys(settings, options.buildings or each)
-    return chosen(options.sets, counts, MOST) or counts
+    return chosen(options, dict.fromkeys(settings, options.buildings or each), most=MOST)
 
 
 def rows_of(evaluations: Mapping[str, Evaluation], options: Options) -> dict[str, list[Row]]:
@@ -126,22 +125,19 @@ def figures_of(row: Row) -> Figures:
 
 def report(figures: Figures) -> str:
     """One table per point with one row per policy."""
-    header = ["policy", *ESTIMATORS.values(), *(f"lost, {name}, %" for name in ESTIMATORS.values())]
     parts = {}
     for point, policies in figures["points"].items():
-        there = {key: title for key, title in DIFFERENCES.items() if all(key in of for of in policies.values())}
-        rows = [[policy, *row_of(of, list(there))] for policy, of in policies.items()]
         count = next(iter(policies.values()))["price"]["n"]
         title = f"{title_of(point, figures['range_m'])}, {count} building{'s' * (count > 1)}"
-        parts[title] = table([*header, *there.values()], rows)
+        parts[title] = one_table({policy: row_of(of) for policy, of in policies.items()})
     return f"Task: `{figures['task']}`.\n\n{sections(parts)}"
 
 
-def row_of(found: Figures, differences: Sequence[str]) -> list[str]:
-    """The cells of a policy."""
-    qualities = [cell(found[name][METRIC], ".3f") for name in ESTIMATORS]
-    lost = [cell(found[name]["lost"], ".0f", 100.0) for name in ESTIMATORS]
-    return [*qualities, *lost, *(cell(found[name], "+.3f") for name in differences)]
+def row_of(found: Figures) -> dict[str, str]:
+    """The cells of a policy by their headings."""
+    qualities = {title: cell(found[name][METRIC], ".3f") for name, title in ESTIMATORS.items()}
+    lost = {f"lost, {title}, %": cell(found[name]["lost"], ".0f", 100.0) for name, title in ESTIMATORS.items()}
+    return qualities | lost | {title: cell(found[key], "+.3f") for key, title in DIFFERENCES.items() if key in found}
 
 
 def title_of(point: str, range_m: float) -> str:

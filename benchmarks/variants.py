@@ -19,7 +19,7 @@ from mecp_env.slam.association.gating import MatchBuilder
 from mecp_env.slam.association.mecp import PolygonMatch
 from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import KINDS, METHODS, AssociationConfig, SlamConfig
-from mecp_env.slam.messages import Belief, Corners, MapView, Polygon
+from mecp_env.slam.messages import Belief, Corners
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator, Filter
 
@@ -29,11 +29,9 @@ class OnePassAssociator(MecpAssociator):
 
     __slots__ = ()
 
-    def _in_two_passes(
-        self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView, belief: Filter
-    ) -> MatchBuilder:
+    def _in_two_passes(self, *scan_and_map: Any) -> MatchBuilder:
         """The decisions at the prediction."""
-        return self._paired(corners, polygons, view, belief)
+        return self._paired(*scan_and_map)
 
 
 class PolygonsAlone(FirstPass):
@@ -103,14 +101,13 @@ def replays(
     drive: Drive, rows: Mapping[str, Variant], estimator: Callable[..., SlamPipeline] = SlamPipeline
 ) -> dict[str, Replay]:
     """What the estimator of each row makes of a drive; an error of a part says which row it is."""
-    return {name: _replayed(drive, name, variant, estimator) for name, variant in rows.items()}
-
-
-def _replayed(drive: Drive, name: str, variant: Variant, estimator: Callable[..., SlamPipeline]) -> Replay:
-    try:
-        return replay(drive, with_change(drive.slam, variant.change), variant.make, estimator)
-    except MecpError as error:
-        raise type(error)(f"{name}: {error}") from error
+    found = {}
+    for name, variant in rows.items():
+        try:
+            found[name] = replay(drive, with_change(drive.slam, variant.change), variant.make, estimator)
+        except MecpError as error:
+            raise type(error)(f"{name}: {error}") from error
+    return found
 
 
 DEFAULT, LETTER = "mecp", "SlamConfig.paper()"

@@ -17,14 +17,12 @@ from functools import partial
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 
 import mecp_env  # noqa: F401  (registers the environments)
 from benchmarks.common import Figures, Options, estimate
 from benchmarks.process_use import memory_mb, processor_s
-from benchmarks.tables import sections, whole_rows
 from benchmarks.vector_step import NAME, SETTINGS, rates_in_turns, steps_per_s
 from mecp_env.vector import BatchEnv
 
@@ -81,18 +79,16 @@ def run(options: Options) -> Figures:
 
 def compare(keywords: dict[str, Any], rounds: int, seconds: float) -> Figures:
     """Results of each kind in a setting."""
-    memory = {kind: memory_alone(kind, keywords) for kind in KINDS}
-    turns = rates_in_turns({kind: partial(make, kind, keywords) for kind in KINDS}, rounds, seconds, measure)
-    rates, us = (np.array([[turn[kind][k] for kind in KINDS] for turn in turns]).T for k in (0, 1))
-    of = dict(zip(KINDS, rates, strict=True))
+    found = rates_in_turns({kind: partial(make, kind, keywords) for kind in KINDS}, rounds, seconds, measure)
+    rates = {kind: of[:, 0] for kind, of in found.items()}
     return {
         kind: {
-            "periods_per_s": estimate(rate),
-            **{f"over_{other}": estimate(rate / of[other]) for other in (SINGLE, ASYNC)},
-            "processor_us": estimate(spent),
-            "memory_mb": memory[kind],
+            "periods_per_s": estimate(rates[kind]),
+            **{f"over_{other}": estimate(rates[kind] / rates[other]) for other in (SINGLE, ASYNC)},
+            "processor_us": estimate(of[:, 1]),
+            "memory_mb": memory_alone(kind, keywords),
         }
-        for (kind, rate), spent in zip(of.items(), us, strict=True)
+        for kind, of in found.items()
     }
 
 
@@ -126,9 +122,3 @@ def _memory_here(kind: str, keywords: dict[str, Any], seconds: float) -> float:
     used = memory_mb(pids_of(env))
     env.close()
     return used
-
-
-def report(figures: Figures) -> str:
-    """One table per setting with one row per kind."""
-    heads = ["kind", "steps per second", "over a single one", "over async", "CPU us per step", "memory MB"]
-    return sections({setting: whole_rows(heads, kinds) for setting, kinds in figures.items()})

@@ -13,12 +13,11 @@ from functools import partial
 from typing import Any
 
 import gymnasium
-import numpy as np
 from gymnasium.utils.performance import benchmark_step, benchmark_vector_step
 
 import mecp_env  # noqa: F401  (registers the environments)
-from benchmarks.common import Figures, Options, estimate, in_turns
-from benchmarks.tables import sections, whole_rows
+from benchmarks.common import Figures, Options, estimate, in_rounds
+from mecp_env.core.carriers import Array
 
 NAME = "mecp_env/PaperMap-v0"
 COUNTS = (1, 2, 4, 16)
@@ -36,8 +35,7 @@ def run(options: Options) -> Figures:
 def compare(keywords: dict[str, Any], rounds: int, seconds: float, counts: tuple[int, ...] = COUNTS) -> Figures:
     """Results of a single environment and of a batch of each count."""
     makers = {f"batch of {count}": partial(gymnasium.make_vec, NAME, count, **keywords) for count in counts}
-    turns = rates_in_turns({SINGLE: partial(gymnasium.make, NAME, **keywords), **makers}, rounds, seconds)
-    rates = {name: np.array([turn[name] for turn in turns]) for name in turns[0]}
+    rates = rates_in_turns({SINGLE: partial(gymnasium.make, NAME, **keywords), **makers}, rounds, seconds, steps_per_s)
     return {
         name: {"steps_per_s": estimate(rate), "over_single": estimate(rate / rates[SINGLE])}
         for name, rate in rates.items()
@@ -45,22 +43,15 @@ def compare(keywords: dict[str, Any], rounds: int, seconds: float, counts: tuple
 
 
 def rates_in_turns(
-    makers: Mapping[str, Callable[[], Any]], rounds: int, seconds: float, measure: Callable[..., Any] | None = None
-) -> list[dict[str, Any]]:
-    """Steps per second of each kind in each round, or what else is measured of an environment."""
+    makers: Mapping[str, Callable[[], Any]], rounds: int, seconds: float, measure: Callable[..., Any]
+) -> dict[str, Array]:
+    """(rounds,...) steps per second of each kind, or what else is measured of an environment."""
     with ExitStack() as opened:
         envs = {name: opened.enter_context(closing(make())) for name, make in makers.items()}
-        calls = {name: partial(measure or steps_per_s, env, seconds) for name, env in envs.items()}
-        return in_turns(calls, rounds + 1)[1:]  # the first loads compiled functions
+        return in_rounds({name: partial(measure, env, seconds) for name, env in envs.items()}, rounds)
 
 
 def steps_per_s(env: Any, seconds: float) -> float:
     """Gymnasium's figure of an environment or batch."""
     is_batch = isinstance(env, gymnasium.vector.VectorEnv)
     return float((benchmark_vector_step if is_batch else benchmark_step)(env, seconds, SEED))
-
-
-def report(figures: Figures) -> str:
-    """One table per setting with one row per kind."""
-    heads = ["kind", "steps per second", "over a single one"]
-    return sections({setting: whole_rows(heads, kinds) for setting, kinds in figures.items()})

@@ -22,7 +22,6 @@ from benchmarks.batch import Optimum, optimum
 from benchmarks.common import Figures, OptionError, Options, shared_data
 from benchmarks.drives import rms, sigma_ratio
 from benchmarks.known_pairs import Motion, Record, Sighting, filtered, in_order
-from benchmarks.tables import table
 from mecp_env.core.carriers import Array
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, AssociationConfig, FilterConfig
@@ -93,16 +92,3 @@ def against(record: Record, kind: str, update: str, best: Optimum) -> Figures:
         "path_rms_m": rms((path - best.T_map_robot)[:, :2]),
         "ms": 1e3 * seconds / len(path),
     }
-
-
-def report(figures: Figures) -> str:
-    """One table, a row per filter and kind of update."""
-    columns = ("landmark_rms_m", "sigma_ratio", "path_rms_m", "ms")
-    rows = [
-        [kind, update, *(row[column] for column in columns)]
-        for kind, updates in figures["filters"].items()
-        for update, row in updates.items()
-    ]
-    best = figures["batch"]
-    said = f"Batch optimum: chi2 {best['chi2']:.0f} at {best['freedom']} degrees of freedom."
-    return f"{said}\n\n{table(['filter', 'updates', *columns], rows)}"

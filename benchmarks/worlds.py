@@ -16,23 +16,21 @@ from __future__ import annotations
 import json
 import shlex
 import time
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from PIL import Image
 
 import mecp_env
-from benchmarks.common import Figures, Options, chosen, estimate, grouped, in_parallel, shared_data
+from benchmarks.common import Figures, Options, chosen, grouped, in_parallel, shared_data
 from benchmarks.drives import exploration
+from benchmarks.records import Course
 from benchmarks.tables import of_visits, sections, turned
 from mecp_env.core.provenance import commit
 from mecp_env.floorplans import load_plan
 from mecp_env.policies.setting import words_of
 from mecp_env.registration import make
 from mecp_env.render.screen import map_picture
-from mecp_env.world.config import GeneratorSpec, split_seed
-from mecp_env.world.generator import generate
 from mecp_env.world.schema import Layout
 from mecp_env.wrappers import GoalActions
 
@@ -61,33 +59,6 @@ TOTALS = (
 KEPT = Path("runs/worlds")
 
 
-@dataclass(frozen=True, slots=True)
-class Visit:
-    """One exploration of one building."""
-
-    final: dict[str, float]
-    terminated: bool
-    steps_per_s: float
-
-    @property
-    def seen(self) -> bool:
-        """True when the explorer terminated and had seen 95 % of the free area."""
-        return self.terminated and self.final["coverage"] >= COMPLETE_COVERAGE
-
-    @property
-    def outcome(self) -> str:
-        """lost, complete or stuck."""
-        if self.final["lost"]:
-            return "lost"
-        return "complete" if self.seen and found_all(self.final) else "stuck"
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """The figures of its end, and how it ended."""
-        ends = {name: float(self.outcome == name) for name in ("complete", "stuck", "lost")}
-        return self.final | ends | {"seen": self.seen, "early": self.terminated and not self.seen}
-
-
 def found_all(final: dict[str, float]) -> bool:
     """True when every room and every door was found."""
     return final["rooms_found"] == final["rooms"] and final["doors_found"] == final["doors"]
@@ -95,18 +66,11 @@ def found_all(final: dict[str, float]) -> bool:
 
 def run(options: Options) -> Figures:
     """Results of each setting."""
-    buildings = [(setting, index) for setting, count in counts(options).items() for index in range(count)]
-    visits = grouped(buildings, in_parallel(visit, Visit, buildings, options))
-    return {setting: summarise(of_setting) for setting, of_setting in visits.items()}
-
-
-def counts(options: Options) -> dict[str, int]:
-    """Number of buildings per setting: those named on the command line as `NAME` or `NAME:COUNT`, or all.
-
-    Raises `OptionError` for an unknown name or an invalid count.
-    """
     there_are = BUILDINGS | {PLANS: PLAN_STARTS * len(plans_at_hand())}
-    return chosen(options.sets, there_are, MOST) or (QUICK if options.quick else there_are)
+    counts = chosen(options, there_are, QUICK, MOST)
+    buildings = [(setting, index) for setting, count in counts.items() for index in range(count)]
+    visits = grouped(buildings, in_parallel(visit, dict[str, float], buildings, options))
+    return {setting: summarise(of_setting) for setting, of_setting in visits.items()}
 
 
 def plans_at_hand() -> list[Path]:
@@ -120,32 +84,40 @@ def plans_at_hand() -> list[Path]:
 def building(setting: str, index: int) -> Layout:
     """The building of a task: of the preset's test split, or a plan, each of which comes `PLAN_STARTS` times."""
     if setting != PLANS:
-        return generate(GeneratorSpec.preset(SETTINGS[setting][0]), split_seed("test", index))
+        return Course(f"{SETTINGS[setting][0]}:{index}", index).building()
     path = plans_at_hand()[index // PLAN_STARTS]
     return load_plan(path, resolution_m=PIXEL_M if path.suffix == ".png" else None)
 
 
-def visit(task: tuple[str, int]) -> Visit:
-    """Explore one building, from a start given by its number."""
+def visit(task: tuple[str, int]) -> dict[str, float]:
+    """The figures of the exploration of one building, from a start given by its number."""
     setting, index = task
     layout = building(setting, index)
     found, env = explored(layout, index, MAX_STEPS, **SETTINGS[setting][2])
-    if found.outcome != "complete":
+    if not found["complete"]:
         keep(layout, task, found, env)
     return found
 
 
-def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -> tuple[Visit, GoalActions]:
-    """A breadth-first exploration from a start given by the seed, and the environment at its end."""
+def explored(layout: str | Layout, seed: int, max_steps: int, **keywords: Any) -> tuple[dict[str, float], GoalActions]:
+    """The figures of a breadth-first exploration from a start given by the seed, and the environment at its end."""
     env = make(layout=layout, actions="goal", max_steps=max_steps, start="random", **keywords)
     assert isinstance(env, GoalActions)
     begun = time.thread_time()
-    *_, (info, terminated) = exploration(env, seed)
+    *_, (_, _, terminated, _, info) = exploration(env, seed)
     speed = info["period"] / (time.thread_time() - begun)
-    return Visit(env.get_wrapper_attr("summary")(), terminated, speed), env
+    return ended(env.get_wrapper_attr("summary")(), terminated) | {"steps_per_s": speed}, env
 
 
-def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) -> None:
+def ended(final: dict[str, float], terminated: bool) -> dict[str, float]:
+    """The figures of the end of an exploration, and how it ended."""
+    seen, lost = terminated and final["coverage"] >= COMPLETE_COVERAGE, bool(final["lost"])
+    complete = seen and found_all(final) and not lost
+    ends = {"lost": lost, "complete": complete, "stuck": not (lost or complete)}
+    return final | ends | {"seen": seen, "early": terminated and not seen}
+
+
+def keep(layout: Layout, task: tuple[str, int], found: dict[str, float], env: GoalActions) -> None:
     """Write what is needed to repeat an episode."""
     setting, seed = task
     folder = KEPT / f"{layout.name}_{setting}_{seed}"
@@ -155,7 +127,7 @@ def keep(layout: Layout, task: tuple[str, int], found: Visit, env: GoalActions) 
     again = f"mecp-env demo --layout {shlex.quote(str(folder / 'layout.json'))} --seed {seed} --config.start random"
     again += f"{flags(setting)} --config.max-steps {MAX_STEPS}"
     code = {"version": mecp_env.__version__, "commit": commit()}
-    record: dict[str, Any] = {"again": again, **code, "seed": seed, "outcome": found.outcome, **found.final}
+    record: dict[str, Any] = {"again": again, **code, "seed": seed, **found}
     (folder / "record.json").write_text(json.dumps(record, indent=2) + "\n")
 
 
@@ -164,12 +136,11 @@ def flags(setting: str) -> str:
     return "".join(f" --config.{field.replace('_', '-')}" for field in words_of(SETTINGS[setting][2]))
 
 
-def summarise(visits: list[Visit]) -> Figures:
+def summarise(visits: list[dict[str, float]]) -> Figures:
     """Results of one preset, each with its 95 % interval."""
     return {
-        **of_visits([visit.figures for visit in visits], TOTALS),
-        "steps_per_s": estimate([visit.steps_per_s for visit in visits]),
-        "not_complete": [index for index, visit in enumerate(visits) if visit.outcome != "complete"],
+        **of_visits(visits, (*TOTALS, "steps_per_s")),
+        "not_complete": [index for index, visit in enumerate(visits) if not visit["complete"]],
     }
 
 

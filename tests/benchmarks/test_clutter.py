@@ -9,23 +9,18 @@ import pytest
 from benchmarks import clutter
 from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.drives import Drive, replay
-from benchmarks.records import Course
-from benchmarks.rough_pose import front_end
 from benchmarks.variants import associating, associators
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam import config
 from mecp_env.slam.association import NearestAssociator, register_associator
+from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
 
 
 @pytest.fixture(scope="module")
-def drive() -> Drive:
-    return Course("paper", 0, {"estimator": "truth", "max_steps": 60}).drive()
-
-
-@pytest.fixture(scope="module")
 def scans(drive: Drive) -> list[tuple[Corners, MergedScan]]:
-    return [front_end(scan, drive.slam)[:2] for scan in drive.scans]
+    found = [front_end(scan, drive.slam) for scan in drive.scans[:63]]
+    return [(features.corners, features.beams) for features in found]
 
 
 def test_no_clutter_is_the_estimator_itself_to_the_bit(drive: Drive) -> None:

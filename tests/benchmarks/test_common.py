@@ -15,7 +15,7 @@ from benchmarks import __main__ as command
 from benchmarks import common
 from benchmarks.common import Options
 from benchmarks.pages import pages
-from benchmarks.tables import summary
+from benchmarks.tables import MOST_COLUMNS, one_table, report_of, summary
 from mecp_env.core import intervals
 
 FIGURES = {"scan": {"us": 10.0}, "steps_per_s": 2000.0, "complete": intervals.share([True] * 10), "rmse_m": 0.02}
@@ -48,6 +48,17 @@ def test_a_figure_is_a_ratio_a_share_a_sum_or_a_mean_by_its_name() -> None:
     found = summary(runs, ("precision", "lost", "far", "rmse_m"))
     assert found["precision"]["value"] == pytest.approx(10 / 11)
     assert (found["lost"]["value"], found["far"], found["rmse_m"]["value"]) == (0.5, 5, pytest.approx(0.2))
+
+
+def test_nested_figures_are_rows_in_sections_of_their_names() -> None:
+    mean = intervals.estimate([1.0, 1.0])
+    of = {"paper": {"mecp": {"rmse_m": mean}, "known": {"rmse_m": mean, "lost": 2}}, "all": {"drives": 3}}
+    page = report_of(of)
+    assert page.startswith("| | drives |\n|---|---|\n| all | 3 |\n\n## paper (n = 2)\n\n| | rmse_m | lost |\n")
+    assert "| mecp | 1 [1, 1] | - |" in page
+    assert "| paper, known | 1 [1, 1] | 2 | - |" in one_table(of)
+    many = {"paper": {f"figure_{k}": k for k in range(MOST_COLUMNS + 1)}}
+    assert "| figure 3 | 3 |" in one_table(many)
 
 
 @pytest.mark.parametrize(

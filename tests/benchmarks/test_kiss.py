@@ -11,7 +11,6 @@ from benchmarks.common import OptionError, is_installed
 from benchmarks.drives import Drive
 from benchmarks.variants import KISS
 from mecp_env.core.se2 import compose, inverse, to_map
-from tests.benchmarks.test_loop import drive, finished  # noqa: F401  (fixtures)
 
 ON_PAIRS, ON_POINTS = KISS
 ERRORS = np.random.default_rng(3).normal(size=(4, 3))
@@ -35,8 +34,8 @@ def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True)
 
 def test_pairs_are_those_that_fit_at_the_pose_found_and_a_page_without_them_says_so(
     monkeypatch: pytest.MonkeyPatch,
-    drive: Drive,  # noqa: F811
-    finished: rough_pose.Finished,  # noqa: F811
+    drive: Drive,
+    finished: rough_pose.Finished,
 ) -> None:
     def count(variant: str = ON_PAIRS, errors: np.ndarray = ERRORS, seen: rough_pose.Look | None = None) -> dict:
         associator = loop.VARIANTS.get(variant, KISS[ON_PAIRS]).associator(drive.slam)
@@ -71,7 +70,7 @@ def test_pairs_are_those_that_fit_at_the_pose_found_and_a_page_without_them_says
 
 
 @pytest.mark.skipif(not is_installed(kiss.PACKAGE), reason="extra `lab`")
-def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: rough_pose.Finished) -> None:  # noqa: F811
+def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: rough_pose.Finished) -> None:
     seen, T = rough_pose.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
     associator = KISS[ON_POINTS].associator(drive.slam)
     assert isinstance(associator, kiss.KissPointsAssociator)

@@ -3,6 +3,7 @@
 import dataclasses
 import io
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from benchmarks.drives import replay
+from benchmarks.drives import RecordingEnv, calibration_error, replay, roc_area
 from benchmarks.records import Course, RecordError, Records, read_drive
+from mecp_env.slam.pipeline import SlamPipeline
+from tests.slam.drives import fed
 
 SHORT = Course("two_rooms", 3, {"estimator": "truth", "max_steps": 12})
 
@@ -114,3 +117,28 @@ def test_a_record_of_another_drive_and_one_that_cannot_be_written_are_named(path
         read_drive(tmp_path / other.file, other)
     with pytest.raises(RecordError, match=r"two_rooms.*/records/.*: cannot be written"):
         Records(tmp_path / other.file / "records").drive(SHORT)
+
+
+def test_a_replay_is_the_run_again_to_the_bit() -> None:
+    """Seen: each step was recorded twice, and nearest and mecp looked equally bad."""
+    env = RecordingEnv(layout="two_rooms", start="random")
+    env.reset(seed=4)
+    for step in range(25):
+        env.step(np.array([0.5, 0.4 * (step % 3 - 1)], np.float32))
+    drive, last = env.drive, env.slam_output
+    assert len(drive.scans) == len(drive.odometry) == len(drive.T_world_robot) == last.step == 28
+    assert [odometry is None for odometry in drive.odometry] == [True] * 3 + [False] * 25
+    *_, output = fed(SlamPipeline(drive.slam), drive)
+    assert np.array_equal(output.belief.T_map_robot, last.belief.T_map_robot)
+    assert np.array_equal(output.belief.p_map, last.belief.p_map)
+    assert np.array_equal(output.grid.label, last.grid.label)
+    assert replay(drive, drive.slam).error_m[-1] < 0.05
+
+
+def test_roc_area_is_the_share_of_pairs_in_the_right_order() -> None:
+    confidence, error_m = np.array([0.9, 0.8, 0.3, 0.8, 0.1]), np.array([0.1, 0.1, 0.1, 2.0, 2.0])
+    assert roc_area(confidence, error_m) == pytest.approx((2 + 1.5 + 1) / 6)
+    assert math.isnan(roc_area(confidence[:3], error_m[:3]))
+    sure = np.array([0.95] * 10 + [0.05] * 10)  # the gap between confidence and frequency
+    assert calibration_error(sure, np.array([0.1] * 10 + [2.0] * 10)) == pytest.approx(0.05)
+    assert calibration_error(sure, np.array([2.0] * 10 + [0.1] * 10)) == pytest.approx(0.95)

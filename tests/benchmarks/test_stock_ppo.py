@@ -4,6 +4,8 @@ from multiprocessing.forkserver import _forkserver
 
 import pytest
 
+from benchmarks.tables import report_of
+
 pytest.importorskip("stable_baselines3", reason="needs the extra rl")
 stock_ppo = pytest.importorskip("benchmarks.stock_ppo")
 
@@ -24,4 +26,4 @@ def imported() -> Iterator[None]:
 def test_every_case_has_a_speed_and_a_row(case: stock_ppo.Case) -> None:
     figures = stock_ppo.compare(case, 1, 0.05, 64)
     assert all(figures[name]["value"] > 0.0 for name in ("steps_per_s", "over_single", "two_cores_per_s"))
-    assert f"| {case.name} |" in stock_ppo.report({case.name: figures})
+    assert f"| {case.name} |" in report_of({case.name: figures})

@@ -1,23 +1,22 @@
 """The benchmark `worlds`: one whole building, and the files kept of a failure."""
 
-import dataclasses
 import json
 import re
 import shlex
 
 import mecp_env
 from benchmarks import worlds
-from benchmarks.common import Options
 from mecp_env.world.layout import load_layout
 
 
 def test_one_building_gives_all_figures() -> None:
     visit = worlds.visit(("easy", 0))
     figures = {"easy": worlds.summarise([visit])}
-    assert visit.outcome == "complete"
-    assert dataclasses.replace(visit, terminated=False).outcome == "stuck"
+    assert visit["complete"]
+    assert worlds.ended(visit, False)["stuck"]
     for final, outcome in (({"lost": True}, "lost"), ({"coverage": 0.9}, "stuck"), ({"doors_found": 0}, "stuck")):
-        assert dataclasses.replace(visit, final=visit.final | final).outcome == outcome
+        ends = worlds.ended(visit | final, True)
+        assert [name for name in ("complete", "stuck", "lost") if ends[name]] == [outcome]
     assert "| complete | 1 [" in worlds.report(figures)
     assert "## easy\n\n| | bare (1) |" in worlds.report(figures)
 
@@ -25,7 +24,7 @@ def test_one_building_gives_all_figures() -> None:
 def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -> None:
     monkeypatch.setattr(worlds, "KEPT", tmp_path / "kept things")
     monkeypatch.setattr(worlds, "MAX_STEPS", 5)
-    assert worlds.visit(("easy", 1)).outcome == "stuck"
+    assert worlds.visit(("easy", 1))["stuck"]
     (folder,) = (tmp_path / "kept things").iterdir()
     record = json.loads((folder / "record.json").read_text())
     assert shlex.split(record["again"])[:4] == ["mecp-env", "demo", "--layout", str(folder / "layout.json")]
@@ -38,13 +37,9 @@ def test_a_failure_is_kept_so_that_it_can_be_seen_again(monkeypatch, tmp_path) -
 
 def test_settings_are_presets_with_something_more_and_can_be_seen_again() -> None:
     assert set(worlds.SETTINGS) == set(worlds.SETS)
-    titles = {title for name, (_, title, _) in worlds.SETTINGS.items() if "medium" in name}
-    assert titles == {"bare", "4 people", "4 boxes, 15% of doors closed"}
     assert worlds.flags("medium_people") == " --config.crowd.people 4"
     assert worlds.flags("easy") == ""
-    assert worlds.counts(Options(sets=("huge_people", "easy:7"))) == {"huge_people": 10, "easy": 7}
-    assert worlds.counts(Options())["hard_clutter"] == 100
-    assert set(worlds.counts(Options(quick=True))) <= set(worlds.SETTINGS)
+    assert set(worlds.QUICK) <= set(worlds.SETTINGS)
     visit = worlds.visit(("medium_people", 9))
-    assert visit.final["association_precision"] > 0.98
-    assert visit.final["landmarks_on_movers"] <= 5
+    assert visit["association_precision"] > 0.98
+    assert visit["landmarks_on_movers"] <= 5

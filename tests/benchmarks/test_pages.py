@@ -5,22 +5,22 @@ import re
 
 import pytest
 
-from benchmarks import policy_tables
+from benchmarks import pages
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.provenance import checksum
 from mecp_env.policies import suites
 
 
-@pytest.mark.parametrize("path", policy_tables.DOCUMENTS, ids=lambda path: path.name)
+@pytest.mark.parametrize("path", pages.DOCUMENTS, ids=lambda path: path.name)
 def test_the_tables_of_the_documents_follow_from_the_results(path) -> None:
     text = path.read_text()
-    assert len(re.findall("<!-- policies: ", text)) == len(policy_tables.PLACE.findall(text)) >= 1
-    assert policy_tables.updated(text, policy_tables.tables()) == text
+    assert len(re.findall("<!-- policies: ", text)) == len(pages.PLACE.findall(text)) >= 1
+    assert pages.updated(text, pages.tables()) == text
 
 
 def test_a_place_is_filled_and_the_rest_stays() -> None:
     text = "before\n<!-- policies: here -->\nold\nolder\n<!-- end -->\nafter\n"
-    filled = policy_tables.updated(text, {"here": "| new |"})
+    filled = pages.updated(text, {"here": "| new |"})
     assert filled == text.replace("old\nolder", "| new |")
 
 
@@ -34,10 +34,10 @@ def test_the_tables_of_frozen_benchmarks_are_those_of_their_files(tmp_path) -> N
     content |= {"hash": suites.SUITES["coverage-v1"].frozen, "results": [row | {"episodes": []} for row in rows]}
     signed = content | {"checksum": checksum(json.dumps(content, sort_keys=True).encode())}
     (tmp_path / "a.json").write_text(json.dumps(signed))
-    text = policy_tables.suite_tables(tmp_path)
+    text = pages.suite_tables(tmp_path)
     assert "`active-v1`, hash " in text
     assert ": no result yet." in text
     assert "| mine | 0.500 [0.400, 0.600] |" in text
     (tmp_path / "b.json").write_text(json.dumps(signed | {"hash": "0"}))
     with pytest.raises(ConfigError, match=r"b\.json: suite coverage-v1 with the hash 0"):
-        policy_tables.suite_tables(tmp_path)
+        pages.suite_tables(tmp_path)
