@@ -1,7 +1,6 @@
 """What an installation contains."""
 
 import importlib
-import re
 import subprocess
 import sys
 import tomllib
@@ -47,11 +46,3 @@ def test_the_lowest_versions_are_the_floors_of_all_dependencies() -> None:
         specifier = (tools | wanted)[name]
         assert specifier.contains(version)
         assert {Version(one.version) for one in specifier if one.operator == ">="} == {version}
-
-
-def test_the_contract_tests_of_ci_exist() -> None:
-    named = re.search(r'^CONTRACT="(.+?)"$', (ROOT / ".ci/run").read_text(), re.MULTILINE | re.DOTALL)
-    assert named is not None
-    files = named[1].split()
-    assert "tests/env/test_contract.py" in files
-    assert [path for path in files if not (ROOT / path).is_file()] == []
