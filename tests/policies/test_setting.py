@@ -1,7 +1,6 @@
 """`mecp-env evaluate` in real floor plans, in one building, and in a changed environment."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 from types import MappingProxyType
@@ -159,60 +158,6 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
     evaluation = Evaluation(("nearest",), Setting(**plan_fields(plans, {})), 1)
     with pytest.raises(ValueError, match=r"office\.json"):
         evaluation.unrepeatable([Nearest()])
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("nearst", "nearst.*did you mean 'nearest'"),
-        ("nowhere:Policy", "'nowhere:Policy' cannot be constructed: No module named 'nowhere'"),
-        ("random:Policy", "random:Policy' cannot be constructed: .*'Policy'"),
-        ("random:Random", "'random:Random' has no 'actions'"),
-        ("--no-policy", "policies: expected at least one of bfs"),
-        ("--split tests", "train, validation, test; did you mean 'test'"),
-        ("--difficulty medum", "medium"),
-        ("--estimator slm", "--estimator slm; did you mean 'slam'?"),
-        ("--episodes 5000", "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
-        ("--reference gian", "one of nearest, bfs, .*random_walk, standing; did you mean 'gain'"),
-        ("--max-steps 0", r"--max-steps: .*greater than or equal to 1 \(given: 0\)"),
-        ("--json .", "is a folder, not a file"),
-        ("--json HERE/a.json", "test_setting.py is a file, not a folder"),
-        ("--out HERE/out", "--out: .*/test_setting.py is a file, not a folder"),
-        ("--json page.md", "json: page.md: expected"),
-        ("--shard 3/2", "shard: '3/2', expected NUMBER/COUNT such as 1/4"),
-        ("--plans nowhere", "plans: nowhere: no such file or folder"),
-        ("--plans .", r"plan: \., no file in it ends in"),
-        ("--layout offic", "layout: 'offic', expected a file, or one of .*; did you mean 'office'"),
-        ("--layout hard:7", "--difficulty selects generated buildings"),
-        ("--layout office --difficulty easy", "--difficulty easy: --layout office fixes it; leave out one"),
-        ("--plans x --layout office", "--layout office: --plans x fixes it"),
-        ("--plans x --split=test", "--split test: --plans x fixes it"),
-        ("--suite active-v1 --plans x", "--plans x: --suite active-v1 fixes it"),
-        ("--suite active-v1 --env.laser.beams 90", "--env: --suite active-v1 fixes it"),
-        ("--suite active-v1 --max-steps 3", "--max-steps 3: --suite active-v1 fixes it"),
-        ("--task ActiveHalls-v0 --difficulty hard", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
-        ("--layout office --task ActiveHall-v0", "task: 'ActiveHall-v0'.*did you mean 'ActiveHalls-v0'"),
-        ("--resolution-m 0.05", "--resolution-m: has a meaning with --plans or --layout only; name one"),
-        ("--layout office --start-x 1", "Unrecognized options: --start-x"),
-        ("--env.laser.max_rang_m 4", "Perhaps you meant"),
-        ("--env.estimator truth", "Unrecognized options: --env.estimator"),
-        ("--env.slam.grid.resolution_m 0.9", "slam.grid.resolution_m: 0.9 m, at most 0.44 m"),
-    ],
-)
-def test_wrong_input_is_refused_before_anything_is_written(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    policy = "nearest " if words.startswith("--") and words != "--no-policy" else ""
-    line = f"evaluate {policy}{words.removeprefix('--no-policy')} {'' if '--out' in words else '--out out'}"
-    try:
-        code = cli.main(line.replace("HERE", __file__).split())
-    except SystemExit as end:  # of the parser
-        code = int(str(end.code))
-    assert code == 2
-    message = " ".join(capsys.readouterr().err.split())
-    assert re.search(said, message), message
-    assert not list(tmp_path.iterdir())
 
 
 class MapReader(FlatDriver):

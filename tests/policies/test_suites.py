@@ -20,12 +20,11 @@ from mecp_env.policies.suites import SUITES, Suite, definition_hash, find_suite,
 SMALL = (Setting("easy", "validation", "slam", 40), Setting("", "validation", "slam", 40, "ActiveCheapRobot-v0"))
 
 
-def add_toy(patch: pytest.MonkeyPatch) -> str:
-    """A suite of two settings with two short episodes each."""
-    patch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, ""))
+def add_toy(patch: pytest.MonkeyPatch, settings: tuple[Setting, ...] = SMALL, episodes: int = 2) -> str:
+    """A suite of two settings with two short episodes each, or of others."""
+    patch.setitem(SUITES, "toy-v1", Suite(settings, episodes, ""))
     definition_hash.cache_clear()
-    frozen = definition_hash("toy-v1")
-    patch.setitem(SUITES, "toy-v1", Suite(SMALL, 2, frozen))
+    patch.setitem(SUITES, "toy-v1", Suite(settings, episodes, definition_hash("toy-v1")))
     return "toy-v1"
 
 
@@ -104,8 +103,7 @@ def test_what_cannot_be_compared_is_refused(result: Path, capsys: pytest.Capture
     for change, message in (
         ({"hash": "0123"}, "suite toy-v1 with the hash 0123, here"),
         ({"version": 7}, "version 7, this mecp_env reads mecp_env/suite version 1"),
-        ({"suite": "toy-v9"}, "suite 'toy-v9', this mecp_env has"),
-        ({"suite": ["toy-v1"]}, "suite ['toy-v1'], this mecp_env has"),
+        ({"suite": ["toy-v9"]}, "suite ['toy-v9'], this mecp_env has"),
         ({"results": []}, f"its checksum is {content['checksum']}, that of its content "),
         (signed(content | {"results": [{"task": "easy"}]}), "results: "),
         (
@@ -116,16 +114,13 @@ def test_what_cannot_be_compared_is_refused(result: Path, capsys: pytest.Capture
         result.write_text(json.dumps(content | change))
         assert cli.main(["leaderboard", str(result)]) == 2
         assert message in capsys.readouterr().err
-    result.write_text("[1]")
-    with pytest.raises(ConfigError, match="no result of a suite"):
-        read_submission(result)
-    result.write_text("{}")
-    with pytest.raises(ConfigError, match=r"it has no field 'checksum'.*mecp-env submit"):
-        read_submission(result)
-    with pytest.raises(ConfigError, match="a folder, or no plain file; name result files"):
-        read_submission(result.parent)
-    with pytest.raises(ConfigError, match=r"gone\.json: No such file"):
-        read_submission(result.with_name("gone.json"))
+    for text, message in (("[1]", "no result of a suite"), ("{}", r"it has no field 'checksum'.*mecp-env submit")):
+        result.write_text(text)
+        with pytest.raises(ConfigError, match=message):
+            read_submission(result)
+    for path, message in ((result.parent, "a folder, or no plain file"), (result.with_name("x"), "x: No such file")):
+        with pytest.raises(ConfigError, match=message):
+            read_submission(path)
 
 
 def test_a_suite_that_this_version_would_change_is_refused(toy: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -182,7 +177,3 @@ def test_a_task_is_evaluated_with_known_correspondences_too(tmp_path: Path, caps
     said = capsys.readouterr().out
     assert "1 buildings: ActiveCheapRobot-v0, split validation" in said
     assert "nearest, known correspondences" in said
-    assert "The effect of known correspondences" in (tmp_path / "page.md").read_text()
-    for words, guess in (("--task ActiveHall-v0", "ActiveHalls-v0"), ("--suite active-v2", "active-v1")):
-        assert cli.main(["evaluate", "nearest", *words.split()]) == 2
-        assert f"did you mean '{guess}'" in capsys.readouterr().err
