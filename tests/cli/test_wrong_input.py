@@ -83,7 +83,6 @@ LINES = {
     "evaluate nearest nowhere:Policy": [("", "cannot be constructed: No module named 'nowhere'")],
     "evaluate random:Random": [("", "'random:Random' has no 'actions'")],
     "record-dataset bfs": [
-        ("--name unversioned", "name: 'unversioned', expected FOLDER/NAME-vNUMBER"),
         ("--difficulty esy", "difficulty: 'esy', expected one of easy"),
         ("--task ActiveHall-v0", "did you mean 'ActiveHalls-v0'"),
         ("--episodes 0", "--episodes: Input should be greater than or equal to 1"),

@@ -101,6 +101,8 @@ def test_a_task_is_recorded_with_its_robot_and_its_uncertainty() -> None:
 
 def test_a_dataset_is_never_overwritten(capsys: Captured) -> None:
     record("nearest")
+    assert main(["record-dataset", "bfs", *QUICK, "--name", "unversioned"]) == 2
+    assert "name: 'unversioned', expected FOLDER/NAME-vNUMBER" in capsys.readouterr().err
     assert main(["record-dataset", "bfs", *QUICK, "--name", "test/own-v0"]) == 2
     assert "choose another name or version, or delete it" in capsys.readouterr().err
     assert minari.load_dataset("test/own-v0").storage.metadata["algorithm_name"] == "nearest"
