@@ -8,7 +8,7 @@ import pytest
 import mecp_env
 from mecp_env.cli import main as cli
 from mecp_env.world.layout import LIBRARY
-from tests.cli.test_submit import TwoActions
+from tests.policies.test_suites import TwoActions
 
 LINES = {
     "demo": [

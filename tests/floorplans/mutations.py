@@ -29,25 +29,14 @@ YAML_VALUES = (
 SIZES = (0, 1, 2, 7, 255, 256, 4096, 4097, 65_535, 100_000, 2**31 - 1, 2**31, 2**32 - 1)
 
 
-def sources() -> dict[str, list[Path]]:
-    """Files of each kind: the included layouts, and the real plans where present."""
-    real = plans.REAL
-    found = {"layout": sorted(LIBRARY.glob("*.json"))}
-    if real is not None:
-        found["houseexpo"] = sorted((real / "houseexpo").glob("*.json"))
-        found["map_server"] = sorted((real / "ros_map").glob("*.yaml"))
-        found["map_image"] = sorted((real / "ros_map").glob("*.png"))
-        found["dungeon"] = sorted((real / "dungeon").glob("*.png"))
-    return found
-
-
 def made(folder: Path) -> dict[str, list[Path]]:
-    """Files of each kind made here: what stands for the real ones where they are not, and kinds of which none is."""
+    """Files of each kind: the included layouts, and others made here."""
     house = folder / "house.json"
     house.write_text(json.dumps(plans.house()))
     return {
-        "made_house": [house],
-        "made_sheet": [plans.map_pair(folder, plans.two_rooms_picture())],
+        "layout": sorted(LIBRARY.glob("*.json")),
+        "house": [house],
+        "sheet": [plans.map_pair(folder, plans.two_rooms_picture())],
         "pgm": [folder / "map.pgm"],
         "png": [plans.save(plans.corridor_picture(), folder / "plan.png")],
         "labelled": [plans.save(plans.labelled_picture(), folder / "rooms.png")],

@@ -10,16 +10,15 @@ from tests.processes import run_python
 
 SECONDS, MEGABYTES = 6.0, 200  # as docs/plans.md promises, with twice the time for a busy machine
 
-Row = tuple[float, float, bool]  # seconds, megabytes, refused
+Row = tuple[float, float, bool, str]  # seconds, megabytes, refused, path
 
 
-def costs(sound: Path, paths: Sequence[Path]) -> dict[str, Row]:
-    """The cost of each file, by its folder and name, in a process that has read a valid one before."""
+def costs(sound: Path, paths: Sequence[Path]) -> list[Row]:
+    """The cost of each file, in a process that has read a valid one before."""
     names = [str(path) for path in (sound, *paths)]
     printed = run_python(f"from tests.floorplans.untrusted import main; main(*{names!r})")
     rows = [line.split(";") for line in printed.splitlines()]
-    found = {f"{path.parent.name}/{path.name}": row for path, row in zip(paths, rows, strict=True)}
-    return {name: (float(s), float(mb), refused == "True") for name, (s, mb, refused) in found.items()}
+    return [(float(s), float(mb), refused == "True", name) for s, mb, refused, name in rows]
 
 
 def main(sound: str, *names: str) -> None:
@@ -29,7 +28,7 @@ def main(sound: str, *names: str) -> None:
         Path("/proc/self/clear_refs").write_text("5")  # forget the peak
         before, start = memory_mb("VmRSS"), time.process_time()
         refused = is_refused(name)
-        print(time.process_time() - start, memory_mb("VmHWM") - before, refused, sep=";")
+        print(time.process_time() - start, memory_mb("VmHWM") - before, refused, name, sep=";")
 
 
 def is_refused(name: str) -> bool:

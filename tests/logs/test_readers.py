@@ -134,12 +134,12 @@ def test_which_laser_is_read(tmp_path: Path) -> None:
 
 GARBAGE = b"\x00\xff garbage \n" * 50
 NO_LOGS: list[tuple[str, bytes, str]] = [
-    *((name, b"", "an empty file") for name in ("a.log", "a.npz", "a.bag", "a.db3", "a.mcap", "a.txt", "a")),
-    *((name, GARBAGE, name) for name in ("a.log", "a.npz", "a.txt", "a")),
+    *((name, b"", "an empty file") for name in ("a.log", "a.npz", "a.bag", "a.db3", "a.mcap", "a")),
+    *((name, GARBAGE, name) for name in ("a.log", "a.npz", "a")),
     *((name, GARBAGE, "begins as none does") for name in ("a.bag", "a.db3", "a.mcap")),
     *(
         (name, start + b"x" * 100, f"{name}: not a log as it is.*{said}")
-        for name in ("a.log", "a.csv", "a.bag", "a.zip")
+        for name in ("a.log", "a.bag")
         for start, said in (
             (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
             (b"\n<!DOCTYPE html>\n", "a web page"),
@@ -168,18 +168,20 @@ def test_files_that_are_no_logs_or_not_what_their_name_says(
         read_log(tmp_path / name)
 
 
-def test_pipes_are_not_waited_for(tmp_path: Path) -> None:
+def test_pipes_folders_and_missing_files(tmp_path: Path) -> None:
     os.mkfifo(tmp_path / "a.log")
-    for read, error in ((read_log, LogError), (read_page, ReplayError), (read_submission, ConfigError)):
-        with pytest.raises(error, match="no plain file"):
-            read(tmp_path / "a.log")
-
-
-def test_folder_and_missing(tmp_path: Path) -> None:
     (tmp_path / "c.log").mkdir()
-    for name, said in (("", "a folder without a bag"), ("b.log", "no such file"), ("c.log", "folder")):
+    for name, said in (
+        ("", "a folder without a bag"),
+        ("a.log", "no plain file"),
+        ("b.log", "no such"),
+        ("c.log", "fold"),
+    ):
         with pytest.raises(LogError, match=said):
             read_log(tmp_path / name)
+    for read, error in ((read_page, ReplayError), (read_submission, ConfigError)):
+        with pytest.raises(error, match="no plain file"):
+            read(tmp_path / "a.log")
 
 
 def test_lines_that_are_damaged(tmp_path: Path) -> None:
@@ -297,7 +299,6 @@ def test_angles_in_degrees_are_taken_as_such_and_named(tmp_path: Path, where: st
 
 SOME = np.random.default_rng(0).uniform(0.2, 9.0, (12, BEAMS))
 BAD: dict[str, tuple[dict[str, Any], str]] = {
-    "a reference of 11": ({"ref": np.zeros((11, 3))}, "ref"),
     "stamps in two columns": ({"t": np.zeros((12, 2))}, "t: "),
     "angles that are one": ({"angles": np.zeros(BEAMS)}, "laser"),
     "no angles": ({"angles": None}, "no angles in the archive, only"),
@@ -327,8 +328,7 @@ def test_archives_of_wrong_shapes_and_units(tmp_path: Path, name: str) -> None:
         read_log(write_archive(tmp_path / "a.npz", **arrays))
 
 
-@pytest.mark.parametrize(("unit", "factor"), [("mm", 1000.0), ("cm", 100.0)])
-@pytest.mark.parametrize("limit", [1.0, 0.0])
+@pytest.mark.parametrize(("unit", "factor", "limit"), [("mm", 1000.0, 1.0), ("cm", 100.0, 0.0)])
 def test_readings_that_no_laser_has_in_metres(tmp_path: Path, unit: str, factor: float, limit: float) -> None:
     t, poses, ranges = drive()
     scaled = factor * ranges
