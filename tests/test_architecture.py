@@ -29,7 +29,6 @@ INSIDE = {  # how often a file of the tests does what one should not; may only b
         "tests/conftest.py": 1,
         "tests/env/helpers.py": 2,
         "tests/env/test_goal_actions.py": 1,
-        "tests/policies/test_evaluate.py": 1,
         "tests/slam/panorama/test_registration.py": 1,
         "tests/world/rays.py": 1,
     },

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from mecp_env.cli import main as cli
 from mecp_env.cli import runs
@@ -69,11 +68,8 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
     assert metrics["ate_m"] < 0.05 < metrics["dead_reckoning_ate_m"]
     assert metrics["final_converged"]
     assert metrics["final_ate_m"] < 0.05
-    assert metrics["polygon_share"] > 0.5
     assert len(load_plan(kept / "belief.yaml").rooms) == len(load_plan(kept / "belief_final.yaml").rooms) == 2
     assert len((kept / "landmarks_final.csv").read_text().splitlines()) == 1 + metrics["landmarks"]
-    with Image.open(kept / "run.gif") as film:
-        assert film.n_frames > 10
     names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
     estimated, final, reference = (np.loadtxt(kept / name) for name in names)  # in one frame
     np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])

@@ -2,11 +2,6 @@
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,7 +12,6 @@ import pytest
 from PIL import Image
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.evaluate import Evaluate
 from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, KeptResults, Shard
 from mecp_env.policies.evaluation import Evaluation, Row, compared, difference, rows_of
@@ -36,7 +30,6 @@ from mecp_env.policies.rollout import (
     metrics,
     run_episode,
 )
-from tests.processes import gone_within, needs_linux
 
 ROOT = Path(__file__).parents[2]
 EASY = Setting("easy", "validation", "slam", 60)
@@ -85,45 +78,6 @@ def test_an_episode_follows_from_its_task_and_begins_where_all_others_do(tmp_pat
     read = KeptResults(tmp_path, EpisodeResult, {}).keep("x", first)  # through its file, bit for bit
     assert (read.task, read.figures, read.act_s) == (first.task, first.figures, first.act_s)
     assert asdict(read.curve) == asdict(first.curve)
-
-
-@pytest.mark.slow
-def test_shards_and_processes_and_then_the_command_without_give_the_bytes_of_a_single_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(tmp_path, out="whole") == 0
-    for number in (1, 2):
-        assert evaluate(tmp_path, shard=f"{number}/2", jobs=number) == 0
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["episodes"]
-    assert f"2 episodes of shard 2/2 are in {tmp_path / 'out' / 'episodes'}" in capsys.readouterr().out
-    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
-    assert evaluate(tmp_path) == 0
-    out, whole = tmp_path / "out", tmp_path / "whole"
-    assert (out / "episodes.csv").read_bytes() == (whole / "episodes.csv").read_bytes()
-    first, again = (json.loads((folder / "results.json").read_text()) for folder in (out, whole))
-    assert first["rows"] == again["rows"]
-
-
-@pytest.mark.slow
-@needs_linux
-def test_ctrl_c_while_processes_start_is_quiet_and_leaves_nothing(tmp_path: Path) -> None:
-    """As a terminal sends it: to the command and its processes, which import modules for a second."""
-    line = [sys.executable, "-m", "mecp_env", "evaluate", "nearest", "--out", str(tmp_path / "out"), "--jobs", "2"]
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(line, cwd=ROOT, start_new_session=True, preexec_fn=deaf_no_more, **pipes)
-    pids = list[int]()
-    while len(pids) < 3 and process.poll() is None:  # the resource tracker of multiprocessing, and two workers
-        time.sleep(0.02)
-        pids = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", "mecp-env: interrupted; the same command continues\n")
-    assert gone_within(pids, 5.0)
-
-
-def deaf_no_more() -> None:
-    """A test that runs in the background may have inherited that Ctrl-C is ignored."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def test_a_folder_is_continued_with_more_of_the_same_and_refused_for_another_setting(
@@ -240,6 +194,18 @@ def raising(error: BaseException, building: int) -> Callable[[EpisodeTask], Epis
     return fragile
 
 
+def test_the_command_without_a_shard_takes_the_episodes_of_all_shards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", raising(RuntimeError(), 9))
+    assert [evaluate(tmp_path, shard=shard) for shard in ("1/2", "2/2")] == [0, 0]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["episodes"]
+    assert f"2 episodes of shard 2/2 are in {tmp_path / 'out' / 'episodes'}" in capsys.readouterr().out
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
+    assert evaluate(tmp_path) == 0
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["buildings"] == 3
+
+
 def test_a_crash_names_policy_and_seed_and_the_others_finish(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -330,14 +296,3 @@ def test_the_page_has_a_line_per_row_with_intervals() -> None:
     assert "| nearest | 0.500 [-] |" in text
     assert "| x, pose known | 0.600" in text
     assert "1 buildings: easy, split validation" in text
-
-
-def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    evaluation = evaluation_of("a\x1b[31mb")
-    evaluation.results = [toy("a\x1b[31mb", 0, 0.5)]
-    Evaluate(("a\x1b[31mb",), out=tmp_path / "out")._write(evaluation, "")
-    said = capsys.readouterr().out
-    assert "\na?[31mb  " in said
-    assert "\x1b" not in said

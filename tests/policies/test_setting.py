@@ -74,25 +74,19 @@ def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys:
     assert {name: result["setting"][name] for name in ("difficulty", "split")} == {"difficulty": "", "split": ""}
 
 
-@pytest.mark.slow
-def test_episodes_of_another_setting_are_never_mixed_in(
-    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(tmp_path, "--plans", plans) == 0
-    for words, said in (
-        (("--env.laser.max_range_m", "4"), "this one has env {'laser': {'max_range_m': 4.0}}"),
-        (("--env.crowd.people", "1"), "this one has env {'crowd': {'people': 1}}"),
-        (("--no-straighten",), "this one has layout {'straighten': False}"),
-        (("--task", "ActiveHalls-v0"), "this one has task 'ActiveHalls-v0'"),
-    ):
-        assert evaluate(tmp_path, "--plans", plans, *words) == 2
-        assert said in capsys.readouterr().err
-    moved = shutil.move(plans, tmp_path / "moved")
-    assert evaluate(tmp_path, "--plans", moved) == 0  # the same files elsewhere
-    with (moved / "paper.json").open("a") as file:
+def test_episodes_of_another_setting_are_never_mixed_in(plans: Path, tmp_path: Path) -> None:
+    def key(reading: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
+        return Setting(**plan_fields(plans, reading or {}), **changes).run_key()
+
+    first, laser, crowd = key(), {"laser": {"max_range_m": 4.0}}, {"crowd": {"people": 1}}
+    others = [key(env=laser), key(env=crowd), key({"straighten": False}), key(task="ActiveHalls-v0"), key(max_steps=12)]
+    assert all(found not in [*others[:k], first] for k, found in enumerate(others))
+    assert key(estimator="truth") == first
+    plans = plans.rename(tmp_path / "moved")  # the same files elsewhere
+    assert key() == first
+    with (plans / "paper.json").open("a") as file:
         file.write("\n")
-    assert evaluate(tmp_path, "--plans", moved) == 2
-    assert "has results of another run: content" in capsys.readouterr().err
+    assert key() != first
 
 
 def test_one_building_by_name_or_file(tmp_path: Path) -> None:
