@@ -8,7 +8,6 @@ from mecp_env.cli import main as cli
 from mecp_env.cli.base import run_command
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam import MapError, SlamPipeline
-from tests.cli.pipes import closed_pipe
 
 Captured = pytest.CaptureFixture[str]
 
@@ -69,9 +68,7 @@ def test_the_map_of_an_exploration_can_be_localised_in(tmp_path: Path, capsys: C
     line = ["explore", "nearest", "--layout", "two_rooms", "--steps", "10", "--save-map", str(path)]
     assert cli.main(line) == 0
     assert f"map: {path}" in capsys.readouterr().out
-    with closed_pipe():
-        assert cli.main(line) == 0  # a map replaces a map, also where the reader has gone
-    assert not capsys.readouterr().err
+    assert cli.main(line) == 0  # a map replaces a map
     loaded = SlamPipeline.from_map(path)
     assert loaded.step_count == 13  # three scans at rest
     assert len(loaded.filter.ids) >= 4

@@ -62,9 +62,6 @@ STAR = [[float((50 + 20 * (i % 2)) * f(i / 1500)) for f in (np.cos, np.sin)] for
 BAD: dict[str, tuple[str, bytes, str]] = {
     "wrong ending": ("plan.txt", b"", r"no plan by its ending, '\.txt'; read are .*PNG"),
     "nothing in it": ("plan.json", b"", r"no JSON"),
-    "a list": ("plan.json", b"[1]", r"expected an object, given list"),
-    "nested too deep": ("plan.json", b"[" * 900_000, r"no JSON: maximum recursion depth"),
-    "too large a file": ("plan.json", b" " * 2_000_001, r"2000001 bytes, at most 2000000"),
     "a key twice": ("plan.json", b'{"verts": [], "verts": []}', r"verts: given twice"),
     "no points": ("plan.json", house(verts=[]), r"verts: .*at least 3 items"),
     "nan": ("plan.json", house(verts=[[0, 0], [1, 0], [1, float("nan")]]), r"verts\.2\.1: .*finite number.*nan"),
