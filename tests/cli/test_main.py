@@ -99,9 +99,8 @@ def test_the_saved_map_is_exported_to_every_kind_of_file_and_none_over_another(
 ) -> None:
     saved, names = kept.parent / "map.zip", {"landmarks": "x.csv", "rooms": "x.geojson", "g2o": "x.g2o"}
     line = ["export", str(saved)]
-    assert (
-        cli.main([*line, *(word for name, file in names.items() for word in (f"--{name}", str(tmp_path / file)))]) == 0
-    )
+    options = [word for name, file in names.items() for word in (f"--{name}", str(tmp_path / file))]
+    assert cli.main([*line, *options]) == 0
     landmarks = list(csv.DictReader((tmp_path / "x.csv").open()))
     assert len(landmarks) >= 8
     assert all(float(row["var_x_m2"]) > 0.0 for row in landmarks)

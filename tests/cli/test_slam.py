@@ -130,7 +130,7 @@ def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
     line = (
         "--odometry reference --seed 3 --config.sensor.range-sigma-m 0.07 --noise.scale 0.5 --rest-m 0.3 --rest-deg 40"
     )
-    assert cli.main(["slam", str(log), "--out", str(tmp_path), *line.split(), "--max-range-m", "9"]) == 0
+    assert cli.main(["slam", str(log), "--out", str(tmp_path), *line.split()]) == 0
     recipe = json.loads((tmp_path / "config.json").read_text())
     assert recipe["config"]["sensor"]["range_sigma_m"] == 0.07
     assert recipe["config"]["sensor"]["field_of_view_deg"] == 360.0

@@ -4,6 +4,7 @@ import gzip
 import itertools
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -274,25 +275,26 @@ def test_beams_all_around(tmp_path: Path) -> None:
     np.testing.assert_allclose(jumps.bearings, BEARINGS, atol=1e-9)
 
 
-def in_degrees(folder: Path, where: str) -> Path:
-    """The drive with angles of the laser in degrees, in a line of CARMEN only the first."""
-    if where == "archive":
-        return write_archive(folder / "a.npz", angles=np.degrees(BEARINGS))
-    if where == "a turn later":
-        return write_archive(folder / "a.npz", angles=np.degrees(BEARINGS) % 360.0)
-    if where == "bag":
-        bag = bag_of(folder / "a.bag")
-        for scan, field in itertools.product(bag.of("/scan"), ("angle_min", "angle_max", "angle_increment")):
-            object.__setattr__(scan, field, np.degrees(getattr(scan, field)))
-        return bag.close()
-    lines = "\n".join(lines_of(*drive(), rawlaser))
-    (folder / "a.log").write_text(lines.replace(f"{-np.pi / 2:.9f}", "-90.0"))
-    return folder / "a.log"
+def bag_in_degrees(path: Path) -> Path:
+    bag = bag_of(path)
+    for scan, field in itertools.product(bag.of("/scan"), ("angle_min", "angle_max", "angle_increment")):
+        object.__setattr__(scan, field, np.degrees(getattr(scan, field)))
+    return bag.close()
 
 
-@pytest.mark.parametrize("where", ["archive", "a turn later", "bag", "line"])
+IN_DEGREES: dict[str, Callable[[Path], Log]] = {
+    "archive": lambda folder: read_log(write_archive(folder / "a.npz", angles=np.degrees(BEARINGS))),
+    "a turn later": lambda folder: read_log(write_archive(folder / "a.npz", angles=np.degrees(BEARINGS) % 360.0)),
+    "bag": lambda folder: read_log(bag_in_degrees(folder / "a.bag")),
+    "line": lambda folder: read_lines(  # only the first angle
+        folder, [line.replace(f"{-np.pi / 2:.9f}", "-90.0") for line in lines_of(*drive(), rawlaser)]
+    ),
+}
+
+
+@pytest.mark.parametrize("where", IN_DEGREES)
 def test_angles_in_degrees_are_taken_as_such_and_named(tmp_path: Path, where: str) -> None:
-    log = read_log(in_degrees(tmp_path, where))
+    log = IN_DEGREES[where](tmp_path)
     np.testing.assert_allclose(log.bearings, BEARINGS, atol=1e-4)
     assert sum("angles of the laser are taken as degrees" in note for note in log.notes) == 1
 
@@ -303,21 +305,15 @@ BAD: dict[str, tuple[dict[str, Any], str]] = {
     "angles that are one": ({"angles": np.zeros(BEAMS)}, "laser"),
     "no angles": ({"angles": None}, "no angles in the archive, only"),
     "objects": ({"t": np.array([{}], object), "ranges": 0.0, "angles": 0.0}, "damaged"),
-    "neither rad nor degrees": (
-        {"angles": 100.0 * np.arange(BEAMS)},
-        r"are \d+\.\d turns, angles in rad expected",
-    ),
+    "neither rad nor degrees": ({"angles": 100.0 * np.arange(BEAMS)}, r"are \d+\.\d turns, angles in rad expected"),
     "complex ranges": ({"ranges": SOME + 0.0j}, "ranges.npy: damaged, or of the type complex128, not numbers"),
     "um": ({"ranges": 1e6 * SOME}, r"half of the readings are beyond \d+ m, at most 100 m expected"),
     "a limit of 1 cm": ({"max_range_m": 0.012}, "no reading from 0 to"),
     "odometry in mm": (
-        {"odo": drive()[1] * (1000.0, 1000.0, 1.0)},
-        r"odometry: 11 of 11 motions are faster than 5 m/s.*--odometry none",
+        {"odo": drive()[1] * (1e3, 1e3, 1.0)},
+        "11 of 11 motions are faster than 5 m/s.*--odometry none",
     ),
-    "odometry without a number": (
-        {"odo": np.full((12, 3), np.nan)},
-        r"none of its 12 poses is finite.*--odometry none",
-    ),
+    "odometry without a number": ({"odo": np.full((12, 3), np.nan)}, "none of its 12 poses is finite"),
 }
 
 
