@@ -18,7 +18,6 @@ from mecp_env.cli.options import configuration
 from mecp_env.cli.runs import Run
 from mecp_env.config import EnvConfig
 from mecp_env.env import MecpEnv
-from mecp_env.evaluation.trajectory import tum
 from mecp_env.floorplans import load_plan
 from mecp_env.render.replay_page import read_page
 from mecp_env.slam import SlamPipeline
@@ -67,14 +66,6 @@ def test_the_paths_the_believed_map_and_the_saved_map_agree(kept: Path) -> None:
     assert sum(path.stat().st_size for path in kept.glob("belief.*")) < 100_000
     pipeline = SlamPipeline.from_map(kept.parent / "map.zip")
     assert pipeline.filter.belief().T_map_robot[:2] == pytest.approx(estimated[-1, 1:3], abs=1e-6)
-
-
-def test_the_recipe_reproduces_the_run(kept: Path) -> None:
-    recipe = json.loads((kept / "config.json").read_text())
-    run = Run(MecpEnv(EnvConfig.build(recipe["config"])), recipe["seed"])
-    run.explore()
-    assert tum(0.4 * np.arange(len(run.estimated)), run.estimated) == (kept / "trajectory.tum").read_text()
-    assert run.env.view().title == f"two_rooms, slam, step {metrics_of(kept)['periods']}"  # the title of map.png
 
 
 def test_a_page_gets_the_player_of_this_version_and_a_run_without_one_is_explored_again(

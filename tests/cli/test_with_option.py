@@ -54,26 +54,3 @@ def test_episodes_of_another_module_are_refused(parts: Path, capsys: Captured) -
     parts.write_text(PARTS + "\n# changed\n")
     assert cli.main([*line, *OWN, "--out", "runs"]) == 2
     assert "module own_parts_of_a_test" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("parts")
-@pytest.mark.parametrize(
-    ("module", "told"),
-    [
-        ("no_such_module", "--with no_such_module: ModuleNotFoundError: No module named 'no_such_module'"),
-        ("own_parts_of_a_test.py", "a module is named as `import` names it: own_parts_of_a_test"),
-        ("broken", "--with broken: ZeroDivisionError: division by zero"),
-    ],
-)
-def test_a_module_that_cannot_be_imported_is_named(module: str, told: str, capsys: Captured) -> None:
-    Path("broken.py").write_text("1 / 0\n")
-    assert cli.main(["demo", "--layout", "two_rooms", "--out", "runs", f"--with={module}"]) == 2
-    assert told in capsys.readouterr().err
-
-
-def test_without_the_module_the_option_is_told_of(capsys: Captured) -> None:
-    with pytest.raises(SystemExit):
-        cli.main(["evaluate", "nearest", *WEIGHT])
-    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "landmarks_seen: not registered by register_reward" in told
-    assert "--with MODULE imports a module" in told

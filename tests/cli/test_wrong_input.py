@@ -1,5 +1,6 @@
 """Wrong input of every command ends with 2 and one line that says why, before anything is written."""
 
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,9 @@ LINES = {
         ("--layout two_rooms --seed -1", "--seed: Input should be greater than or equal to 0 (given: -1)"),
         ("--out notes.txt", "notes.txt is a file, not a folder; choose another place"),
         ("--layout two_rooms --render human", "render_mode: 'human' can open no window"),
+        ("--with no_such_module", "--with no_such_module: ModuleNotFoundError: No module named 'no_such_module'"),
+        ("--with broken.py", "a module is named as `import` names it: broken"),
+        ("--with broken", "--with broken: ZeroDivisionError: division by zero"),
     ],
     "play": [
         ("--rate 0", "--rate: Input should be greater than or equal to 0.5 (given: 0.0)"),
@@ -117,11 +121,13 @@ def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> dict[str, bytes]:
     """What there is in the working directory: by name, with its content."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("SDL_VIDEODRIVER", "none_such")
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
     for name in ("plans", "empty", "mapped"):
         Path(name).mkdir()
     plan = (LIBRARY / "two_rooms.json").read_bytes()
     content = {"plan.json": plan, "plans/a.json": plan, "plans/b.json": plan, "notes.txt": b"mine"}
-    content["mapped/config.json"] = b'{"log": "x.log"}'
+    content |= {"mapped/config.json": b'{"log": "x.log"}', "broken.py": b"1 / 0\n"}
     for name, data in content.items():
         Path(name).write_bytes(data)
     return content
@@ -161,6 +167,7 @@ def test_wrong_input_is_one_line_and_changes_nothing(
         ("evaluate nearest --env.estimator truth", 2, "Unrecognized options: --env.estimator"),
         ("evaluate nearest --env.slam.grid.resolution_m 0.9", 2, "slam.grid.resolution_m: 0.9 m, at most 0.44 m"),
         ("evaluate nearest --estimator slm", 2, "did you mean 'slam'"),
+        ("evaluate nearest --env.reward.custom mine 1", 2, "mine: not registered"),
         ("--help", 0, "one-scan"),
         ("--version", 0, mecp_env.__version__),
         ("demo --help", 0, "mecp-env demo --layout office"),
