@@ -91,6 +91,12 @@ LINES = {
         ("nearest --quick --seeds 0", "--seeds"),
         (f"{TwoActions.__module__}:TwoActions", "settings of actions 'velocity', but its `actions` are 'goal'"),
     ],
+    "train": [
+        ("sac", "'sac' is not one of ppo, maskable_ppo, recurrent_ppo"),
+        ("--seed 1", "ppo, maskable_ppo, recurrent_ppo"),
+        ("ppo --buildings.difficulty easy mediun", "did you mean 'medium'"),
+        ("ppo --buildings.layout a\x1b[31mb --out new", "buildings.layout: a?[31mb: no such file"),
+    ],
     "worlds draw": [
         ("", "name at least one building"),
         ("medium:9-0", "medium:9-0: the first seed comes first, as medium:0-9"),
@@ -159,6 +165,9 @@ def test_wrong_input_is_one_line_and_changes_nothing(
         ("demo --config.slam.filter.kindd ekf", 2, "--config.slam.filter.kind"),
         ("demo --config.slam.filter.kind ukf", 2, "riekf"),
         ("demo --config.max-steps 0", 2, "Error parsing config: --config.max_steps: Input"),
+        ("demo --config.observation.format image", 2, "observation.format: 'image', expected 'dict'"),
+        ("train ppo --buildings.spec 12 rooms", 2, "the name of a field comes first"),
+        ("train ppo --buildings.spec rooms 12 loops", 2, "loops: a value is missing"),
         ("worlds generate --difficulty medum", 2, "did you mean 'medium'?"),
         ("worlds generate --pieces box --shapes LL", 2, "did you mean 'L'?"),
         ("worlds generate --rooms 201", 2, "rooms"),

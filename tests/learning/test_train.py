@@ -53,20 +53,6 @@ def test_a_run_leaves_all_that_is_needed_and_its_policy_acts(algorithm, tmp_path
     assert (folder / "policy.json").read_bytes() == before
 
 
-@pytest.mark.parametrize(
-    ("fields", "said"),
-    [
-        ({"buildings": {"difficulty": ["easy", "mediun"]}}, "did you mean 'medium'"),
-        ({"buildings": {"layout": "a\x1b[31mb"}}, "buildings.layout: a?[31mb: no such file"),
-    ],
-)
-def test_wrong_input_is_said_before_anything_is_written(fields, said, tmp_path, capsys):
-    folder, code = run(tmp_path, **fields)
-    assert code == 2
-    assert said in capsys.readouterr().err
-    assert not folder.exists()
-
-
 def wait_for_checkpoint(process, folder, beyond=-1):
     """Wait until a run has written a checkpoint after more than this number of decisions."""
     give_up = time.monotonic() + 300

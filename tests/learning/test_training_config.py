@@ -50,19 +50,6 @@ def test_a_building_may_be_specified_by_numbers_ranges_and_words(tmp_path):
     assert above.buildings.spec == config.buildings.spec | {"door_width_m": (0.8, 0.8)}
 
 
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("12 rooms", "the name of a field comes first"),
-        ("rooms 12 loops", "loops: a value is missing"),
-    ],
-)
-def test_a_specification_that_cannot_be_read_from_the_line_ends_it(words, said, capsys):
-    with pytest.raises(SystemExit):
-        parse(["ppo", "--buildings.spec", *words.split()])
-    assert said in " ".join(capsys.readouterr().err.replace("│", " ").split())
-
-
 def test_options_stand_above_the_file(tmp_path):
     path = tmp_path / "config.json"
     fields = {"algorithm": "ppo", "seed": 4, "ppo": {"epochs": 9}, "buildings": {"difficulty": "easy"}}
@@ -134,12 +121,6 @@ def test_a_file_that_is_no_configuration_is_refused(text, said, tmp_path):
         read_config(path)
 
 
-def test_an_algorithm_that_there_is_not_and_none_at_all_list_those_there_are():
-    for line in (["sac"], ["--seed", "1"]):
-        with pytest.raises(ConfigError, match="ppo, maskable_ppo, recurrent_ppo"):
-            parse(line)
-
-
 @pytest.mark.slow
 def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
     (tmp_path / "config.json").write_text(json.dumps({"algorithm": "ppo", "steps": 10}))
@@ -149,9 +130,3 @@ def test_resuming_takes_the_configuration_of_the_run_and_nothing_else(tmp_path):
             parse(["--resume", str(tmp_path), *line])
     with pytest.raises(ConfigError, match="No such file"):
         parse(["--resume", str(tmp_path / "nothing")])
-
-
-def test_a_demo_shows_tables_and_no_images(capsys):
-    with pytest.raises(SystemExit):
-        cli.main(["demo", "--config.observation.format", "image"])
-    assert "observation.format: 'image', expected 'dict'" in " ".join(capsys.readouterr().err.replace("│", "").split())
