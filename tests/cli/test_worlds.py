@@ -145,8 +145,8 @@ def test_a_folder_is_its_plans_and_those_below(tmp_path: Path) -> None:
     assert Reading(kind="image", resolution_m=0.05).expand(str(tmp_path)) == [str(below / "alone.pgm")]
 
 
-@pytest.mark.parametrize("name", ["a$b_$^{ nul\0l\x1b[2J", "部屋 <&--> é\n[red]m[/]" + "x" * 60])
-def test_a_building_may_be_called_anything(name: str, tmp_path: Path, capsys: Said) -> None:
+def test_a_building_may_be_called_anything(tmp_path: Path, capsys: Said) -> None:
+    name = "a$b_$^{ nul\0l\x1b[2J部屋 <&--> é\n[red]m[/]" + "x" * 40
     fields = json.loads(load_layout("two_rooms").to_json())
     old, fields["name"], fields["rooms"][0]["name"] = fields["rooms"][0]["name"], name, name
     fields["doors"][0]["rooms"] = [name if room == old else room for room in fields["doors"][0]["rooms"]]
