@@ -25,7 +25,7 @@ from mecp_env.world.schema import Layout, Pillar
 from tests.slam import make
 
 THIN_M = 0.05
-EACH = 3  # buildings of a case
+EACH = 5  # buildings of a case
 
 
 def spec(difficulty: str, thin: bool) -> GeneratorSpec:
