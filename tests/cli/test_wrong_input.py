@@ -85,6 +85,7 @@ LINES = {
         ("--episodes 0", "--episodes: Input should be greater than or equal to 1"),
     ],
     "submit": [
+        ("nearest --suite active-v9", "did you mean 'active-v1'"),
         ("nearest --suite active-v1 --quick", "--suite active-v1: --quick fixes it; leave out one of the two"),
         ("nearest --quick --out x.txt", "x.txt: expected the name of a file that ends in .json"),
         ("nearest --quick --hours nan", "--hours"),
