@@ -130,23 +130,12 @@ def _spoilt_png(data: bytes, rng: Random) -> bytes:
 
 
 def _redrawn(data: bytes, rng: Random) -> bytes:
-    """The same picture in another mode, with noise, or cut."""
-    image = Image.open(BytesIO(data))
-    image.load()
-    kind = image.format
-    change = int(rng.integers(4))
-    if change == 0:
-        image = image.convert(str(rng.choice(["1", "L", "LA", "P", "RGB", "RGBA", "I;16"])))
-        kind = "PNG"
-    elif change == 1:
-        pixels = np.array(image.convert("RGB"))
-        pixels[rng.random(pixels.shape[:2]) < 10.0 ** -rng.integers(1, 5)] = rng.integers(0, 256, 3)
-        image = Image.fromarray(pixels)
-    else:
-        left, top = (int(rng.integers(0, side)) for side in image.size)
-        image = image.crop((left, top, left + int(rng.integers(1, 400)), top + int(rng.integers(1, 400))))
-    out = BytesIO()
-    image.save(out, format="PNG" if kind == "PNG" else "PPM")
+    """The same picture in another mode, or a part of it."""
+    image, out = Image.open(BytesIO(data)), BytesIO()
+    left, top = (int(rng.integers(0, side)) for side in image.size)
+    mode, size = str(rng.choice(["1", "L", "LA", "P", "RGB", "RGBA", "I;16"])), int(rng.integers(1, 400))
+    image = image.convert(mode) if rng.random() < 0.5 else image.crop((left, top, left + size, top + size))
+    image.save(out, "PNG")
     return out.getvalue()
 
 
