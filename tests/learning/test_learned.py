@@ -1,3 +1,4 @@
+import base64
 import json
 import pickle
 import struct
@@ -140,8 +141,6 @@ class Payload:
 
 def crafted(folder, mark):
     """A model file of Stable-Baselines3 whose pickle runs code."""
-    import base64
-
     code = base64.b64encode(pickle.dumps(Payload(mark))).decode()
     data = {"policy_class": {":type:": "x", ":serialized:": code, "__module__": "sb3_contrib.common.maskable.policies"}}
     path = folder / "model.zip"

@@ -13,7 +13,9 @@ import numpy as np
 import pytest
 import sb3_contrib as contrib
 import stable_baselines3 as stock
+import torch
 from gymnasium import spaces
+from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack, VecNormalize
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.learning.config import WeightError
@@ -87,8 +89,6 @@ def test_the_order_of_flat_goals_is_that_of_the_training(tmp_path: Path) -> None
 
 
 def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> None:
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
     make = lambda: gymnasium.make("mecp_env/Rooms-v0", actions="discrete", observation="flat")  # noqa: E731
     env = VecNormalize(DummyVecEnv([make]), clip_obs=2.0)
     env.obs_rms.mean[:] = 5.0
@@ -111,8 +111,6 @@ def test_statistics_of_normalisation_beside_a_model_are_used(tmp_path: Path) -> 
 
 @pytest.mark.parametrize("kind", ["PPO", "DQN"])
 def test_a_model_of_vec_normalize_without_its_statistics_is_refused(kind: str, tmp_path: Path) -> None:
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecNormalize
-
     sizes = {"n_steps": 2, "batch_size": 2} if kind == "PPO" else {"buffer_size": 20, "learning_starts": 5}
     plain = DummyVecEnv([lambda: gymnasium.make("mecp_env/First-v0", max_steps=9)])
     changed = VecNormalize(plain)
@@ -145,9 +143,6 @@ def test_a_class_in_a_module_of_the_working_directory_is_found(tmp_path: Path, m
 def test_the_classes_of_the_page_score_weights_and_stacked_frames(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    torch = pytest.importorskip("torch")
-    from stable_baselines3.common.vec_env import DummyVecEnv, VecFrameStack
-
     page = (Path(__file__).parents[2] / "docs/submissions.md").read_text()
     for text, name in re.findall(r'```python\n("""(\w+)\.py""".*?)```', page, re.DOTALL):
         (tmp_path / f"{name}.py").write_text(text)
@@ -206,11 +201,7 @@ ARRAY = spaces.Box(-1, 1, (104,))
     [
         (spaces.Box(-1, 1, (4, 181)), spaces.Discrete(5), r"\(4, 181\).*'uncertainty': False.*stacking frames"),
         (spaces.Box(-np.inf, np.inf, (181,)), spaces.Discrete(5), r"\(-inf, inf, \(181,\).*have Box\(-1, 1"),
-        (
-            spaces.Dict(pose=spaces.Box(0, 1, (4,))),
-            spaces.Discrete(5),
-            r"\(pose Box\(0, 1, .*pose Box\(-.*what wrappers",
-        ),
+        (spaces.Dict(pose=spaces.Box(0, 1, (4,))), spaces.Discrete(5), r"\(pose Box\(0, .*pose Box\(-.*what wrappers"),
         (spaces.Box(0, 255, (12, 64, 64), np.uint8), spaces.Discrete(5), r"\(12, 64, 64\).*\(3, 64, 64\).*'image'"),
         (spaces.Discrete(4), spaces.Discrete(5), r"Discrete\(4\); environments have"),
         (ARRAY, spaces.Discrete(6), r"Discrete\(6\).*Discrete\(5\) with actions='discrete'"),
