@@ -55,6 +55,7 @@ LINES = {
         ("--difficulty hrd", "did you mean 'hard'?"),
         ("--difficulty hard --split tst", "did you mean 'test'?"),
         ("--split test", "--split: has a meaning with --difficulty or --task only"),
+        ("--layout plan.json --save-map plans", "--save-map: plans is a folder, not a file"),
         ("--layout plan.json --save-map plan.json/map.zip", "plan.json is a file, not a folder"),
         ("--layout plan.json --save-map plan.json", "plan.json is what is read"),
         ("--layout plan.json --save-map notes.txt", "notes.txt: no mecp_env map, or cut short; name another file"),
