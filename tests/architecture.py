@@ -3,19 +3,20 @@
 import ast
 import io
 import tokenize
-from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache
+from graphlib import TopologicalSorter
 from pathlib import Path
+
+import grimp
 
 ROOT = Path(__file__).parent.parent
 PACKAGE = ROOT / "mecp_env"
 TREES = ("mecp_env", "agents", "benchmarks")
-COMPILED = ("compiled", "inner")  # names of the decorators of compiled functions
+COMPILED = {"compiled", "inner"}  # names of the decorators of compiled functions
 BRANCHES = (ast.If, ast.For, ast.While, ast.IfExp, ast.ExceptHandler, ast.BoolOp, ast.comprehension, ast.match_case)
 NO_CODE = {tokenize.NL, tokenize.NEWLINE, tokenize.INDENT, tokenize.DEDENT, tokenize.ENDMARKER, tokenize.COMMENT}
-DEFINITIONS = (ast.FunctionDef, ast.AsyncFunctionDef)
 
 
 @dataclass(frozen=True)
@@ -37,97 +38,50 @@ def sources(tree: str) -> dict[Path, ast.Module]:
 @cache
 def functions(tree: str) -> tuple[Function, ...]:
     """All functions and methods below a folder."""
-    return tuple(_functions(tree))
+    nodes = [
+        (path, node)
+        for path, module in sources(tree).items()
+        for node in ast.walk(module)
+        if isinstance(node, ast.FunctionDef)
+    ]
+    return tuple(_function(f"{path.relative_to(ROOT)}:{node.lineno} {node.name}", node) for path, node in nodes)
 
 
-def _functions(tree: str) -> Iterator[Function]:
-    for path, module in sources(tree).items():
-        for node in ast.walk(module):
-            if isinstance(node, DEFINITIONS):
-                names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
-                decorators = {
-                    getattr(d, "id", getattr(getattr(d, "func", None), "id", "")) for d in node.decorator_list
-                }
-                yield Function(
-                    f"{path.relative_to(ROOT)}:{node.lineno} {node.name}",
-                    bool(decorators & set(COMPILED)),
-                    len([name for name in names if name not in ("self", "cls")]),
-                    1 + sum(isinstance(part, BRANCHES) for part in ast.walk(node)),
-                )
+def _function(where: str, node: ast.FunctionDef) -> Function:
+    arguments = (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
+    count = sum(argument.arg not in ("self", "cls") for argument in arguments)
+    return Function(where, is_compiled(node), count, 1 + sum(isinstance(part, BRANCHES) for part in ast.walk(node)))
 
 
-def root_files() -> list[str]:
-    """The Python files at the root of the package."""
-    return sorted(path.name for path in PACKAGE.glob("*.py"))
+def is_compiled(node: ast.stmt) -> bool:
+    """True for a compiled function."""
+    decorators = node.decorator_list if isinstance(node, ast.FunctionDef) else []
+    return bool({ast.unparse(decorator).partition("(")[0] for decorator in decorators} & COMPILED)
 
 
-def module_name(path: Path) -> str:
-    """The dotted name of a file."""
-    name = ".".join(path.relative_to(ROOT).with_suffix("").parts)
-    return name.removesuffix(".__init__")
-
-
-@cache
-def imports(tree: str) -> dict[str, set[str]]:
-    """For each module below a folder the modules of the same folder that it imports, inside functions too."""
-    known = {module_name(path): module for path, module in sources(tree).items()}
-    return {name: {found for found in _imported(module, known) if found != name} for name, module in known.items()}
-
-
-def _imported(module: ast.Module, known: dict[str, ast.Module]) -> Iterator[str]:
-    for node in ast.walk(module):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names if alias.name in known)
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            for alias in node.names:
-                full = f"{node.module}.{alias.name}"
-                yield from [name for name in (full if full in known else node.module,) if name in known]
-
-
-@cache
-def folders(tree: str) -> dict[str, set[str]]:
-    """The import graph of what is at the root of a package: its files and folders."""
-    graph: dict[str, set[str]] = {}
-    for name, found in imports(tree).items():
-        top = ".".join(name.split(".")[:2])
-        graph.setdefault(top, set()).update(".".join(other.split(".")[:2]) for other in found)
-        graph[top].discard(top)
-    return graph
+def imports(tree: str, of_folders: bool = False) -> dict[str, set[str]]:
+    """For each module of a package the others that it imports, inside functions too; or so for what is at its root."""
+    graph = grimp.build_graph(tree, cache_dir=None)
+    for name in graph.find_children(tree) if of_folders else ():
+        graph.squash_module(name)
+    return {name: graph.find_modules_directly_imported_by(name) - {name} for name in graph.modules}
 
 
 def levels(graph: dict[str, set[str]]) -> int:
     """The longest chain of imports; raises `ValueError` that names a cycle."""
     depth: dict[str, int] = {}
-
-    def visit(name: str, above: tuple[str, ...]) -> int:
-        if name in above:
-            raise ValueError(f"import cycle: {' -> '.join((*above[above.index(name) :], name))}")
-        if name not in depth:
-            depth[name] = 1 + max((visit(other, (*above, name)) for other in sorted(graph.get(name, ()))), default=0)
-        return depth[name]
-
-    return max(visit(name, ()) for name in sorted(graph))
+    for name in TopologicalSorter(graph).static_order():
+        depth[name] = 1 + max((depth[other] for other in graph[name]), default=0)
+    return max(depth.values())
 
 
-def reached(tree: str, start: str, below: str) -> set[str]:
-    """The modules below `below` that `start` imports, itself and what they import in turn included."""
-    graph, found, todo = imports(tree), set[str](), [start]
-    while todo:
-        name = todo.pop()
-        if name not in found and name.startswith(below):
-            found.add(name)
-            todo.extend(graph[name])
-    return found
-
-
-def is_compiled_module(name: str) -> bool:
-    """True for a module that has no functions but compiled ones, and none at all of its own is public Python."""
-    path = ROOT / (name.replace(".", "/") + ".py")
-    if not path.is_file():
-        return False
-    nodes = [node for node in sources("mecp_env")[path].body if isinstance(node, DEFINITIONS)]
-    found = [bool({getattr(d, "id", "") for d in node.decorator_list} & set(COMPILED)) for node in nodes]
-    return bool(found) and all(found)
+def files_to_change(module: str, below: str) -> int:
+    """How many files of a package one reads to change a module: it and those it imports, but for compiled functions."""
+    graph = grimp.build_graph("mecp_env", cache_dir=None)
+    names = {module, *(name for name in graph.find_upstream_modules(module) if name.startswith(below))}
+    files = [sources("mecp_env").get(ROOT / f"{name.replace('.', '/')}.py", ast.Module([], [])) for name in names]
+    found = [[is_compiled(node) for node in file.body if isinstance(node, ast.FunctionDef)] for file in files]
+    return sum(not compiled or not all(compiled) for compiled in found)
 
 
 def code_lines(path: Path) -> int:
@@ -143,18 +97,6 @@ def code_lines(path: Path) -> int:
         if documented:
             lines.difference_update(range(node.body[0].lineno, (node.body[0].end_lineno or 0) + 1))
     return len(lines)
-
-
-def class_names_used_twice() -> dict[str, int]:
-    """Names of classes that more than one file defines."""
-    names = [
-        node.name
-        for tree in TREES
-        for module in sources(tree).values()
-        for node in ast.walk(module)
-        if isinstance(node, ast.ClassDef) and not node.name.startswith("_")
-    ]
-    return {name: count for name, count in sorted(Counter(names).items()) if count > 1}
 
 
 def tunable_numbers() -> list[str]:
@@ -207,31 +149,20 @@ def _is_tunable(value: ast.expr) -> bool:
 
 @cache
 def figures() -> dict[str, int]:
-    """The figures of the architecture issue."""
+    """The figures of the architecture."""
     compiled = [function for function in functions("mecp_env") if function.compiled]
-    corners = reached("mecp_env", "mecp_env.slam.frontend.corners", "mecp_env.slam")
     return {
-        "files at the root": len(root_files()),
-        "import levels": levels(folders("mecp_env")),
+        "files at the root": len(list(PACKAGE.glob("*.py"))),
+        "import levels": levels(imports("mecp_env", of_folders=True)),
         "compiled functions": len(compiled),
         "compiled functions with more than 8 arguments": sum(function.arguments > 8 for function in compiled),
         "tunable numbers of the estimator": len(tunable_numbers()),
         "code lines of slam/pipeline.py": code_lines(PACKAGE / "slam" / "pipeline.py"),
-        "files to change corner extraction": sum(not is_compiled_module(name) for name in corners),
+        "files to change corner extraction": files_to_change("mecp_env.slam.frontend.corners", "mecp_env.slam"),
     }
 
 
 if __name__ == "__main__":
-    more = {
-        "code lines of mecp_env and agents": sum(code_lines(path) for t in TREES[:2] for path in sources(t)),
-        "class names used twice": len(class_names_used_twice()),
-    }
-    for what, number in (figures() | more).items():
+    trees = {f"code lines of {tree}": sum(map(code_lines, sources(tree))) for tree in (*TREES, "tests")}
+    for what, number in (figures() | trees).items():
         print(f"{number:6}  {what}")
-    for name, count in class_names_used_twice().items():
-        print(f"        {name}: {count} classes")
-    for function in functions("mecp_env"):
-        if function.arguments > (8 if function.compiled else 6) or function.complexity > (
-            20 if function.compiled else 8
-        ):
-            print(f"        {function}")

@@ -11,6 +11,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any, Self
@@ -106,41 +107,29 @@ class Launcher:
 
 def jobs(control: socket.socket) -> Iterator[dict[str, Any]]:
     """In the forks of this process: the job of each; here it waits for the next one, until nobody can ask any more."""
-    signal.signal(signal.SIGCHLD, reap)
     while True:
         message, files, _, _ = socket.recv_fds(control, LONGEST, 3)
         if not message:
             return
-        if os.fork() == 0:
+        answers, *outputs = files
+        pid = os.fork()
+        if pid == 0:
             control.close()
-            if supervise(*files):
-                yield json.loads(message)
-            os._exit(0)
-        for file in files:
+            os.close(answers)
+            os.dup2(outputs[0], 1)
+            os.dup2(outputs[1], 2)
+        for file in outputs:
             os.close(file)
+        if pid == 0:
+            yield json.loads(message)
+        threading.Thread(target=tell, args=(answers, pid)).start()
 
 
-def reap(*_: object) -> None:
-    """Take note of all children that have ended, so that their time counts as that of this process."""
-    with contextlib.suppress(ChildProcessError):
-        while os.waitpid(-1, os.WNOHANG)[0]:
-            pass
-
-
-def supervise(answers: int, out: int, err: int) -> bool:
-    """Fork a job and tell who asked for it its id and exit code. True in the job itself."""
-    signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    pid = os.fork()
-    if pid == 0:
-        os.dup2(out, 1)
-        os.dup2(err, 2)
-    for file in (out, err, *([answers] if pid == 0 else [])):
-        os.close(file)
-    if pid:
-        with socket.socket(fileno=answers) as asked:
-            asked.send(str(pid).encode())
-            asked.send(str(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])).encode())
-    return pid == 0
+def tell(answers: int, pid: int) -> None:
+    """Tell who asked for a job its id and its exit code."""
+    with socket.socket(fileno=answers) as asked:
+        asked.send(str(pid).encode())
+        asked.send(str(os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])).encode())
 
 
 def become(job: dict[str, Any]) -> None:

@@ -1,10 +1,14 @@
-"""The rules of the source tree: few files at the root, no import cycles, bounded functions (CONTRIBUTING.md)."""
+"""The rules of the source tree: few files at the root, imports, bounded functions (CONTRIBUTING.md)."""
 
 import pytest
 
+from mecp_env import slam
 from mecp_env.core.jit import NOT_COMPILED
-from tests.architecture import TREES, figures, functions, imports, levels
+from tests.architecture import ROOT, TREES, figures, functions, imports, levels
 from tests.isolation import uses
+from tests.processes import run_python
+
+HEAVY = {"numba", "scipy", "matplotlib", "pygame", "pymunk", "shapely", "PIL", "torch", "pydantic"}
 
 MOST = {
     "files at the root": 6,
@@ -25,7 +29,6 @@ INSIDE = {  # how often a file of the tests does what one should not; may only b
         "tests/conftest.py": 1,
         "tests/env/helpers.py": 2,
         "tests/env/test_goal_actions.py": 1,
-        "tests/policies/test_evaluate.py": 1,
         "tests/slam/panorama/test_registration.py": 1,
         "tests/world/rays.py": 1,
     },
@@ -47,6 +50,25 @@ def test_folders_that_are_not_compiled_have_no_compiled_functions() -> None:
 @pytest.mark.parametrize("tree", TREES)
 def test_no_import_cycles(tree: str) -> None:
     assert levels(imports(tree)) >= 1  # raises ValueError that names the cycle
+
+
+def test_the_import_contracts_hold() -> None:
+    run_python(f"import os, sys, importlinter.cli as c; os.chdir({str(ROOT)!r}); sys.exit(c.lint_imports())")
+
+
+def test_the_package_and_the_estimator_at_hand_load_nothing_heavy() -> None:
+    code = "import sys, mecp_env, mecp_env.slam; print(*{name.partition('.')[0] for name in sys.modules})"
+    loaded = set(run_python(code).split())
+    assert "gymnasium" in loaded
+    assert not HEAVY & loaded
+    assert all(getattr(slam, name).__name__ == name for name in slam.__all__)
+    assert not hasattr(slam, "SlamPipelin")
+
+
+def test_the_estimator_loads_without_the_world_and_without_pictures() -> None:
+    loaded = set(run_python("import sys, mecp_env.slam.pipeline; print(*sys.modules)").split())
+    assert not {"pymunk", "pygame", "shapely", "matplotlib"} & loaded
+    assert not {name for name in loaded if name.startswith(("mecp_env.world", "mecp_env.env", "mecp_env.render"))}
 
 
 @pytest.mark.parametrize("tree", ["mecp_env", "agents"])

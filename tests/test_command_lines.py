@@ -2,7 +2,6 @@
 
 import importlib
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 
 import pytest
@@ -71,15 +70,6 @@ def test_every_command_line_parses(
     assert len(lines) >= SOURCES[source]
     failures = [failure(where, line) for where, line in lines]
     assert not [text for text in failures if text], capsys.readouterr().err[-3000:]
-
-
-def test_lines_are_found_as_a_shell_reads_them() -> None:
-    found = {line: command_of(line) for _, line in chain.from_iterable(source() for source in SOURCES)}
-    assert command_of("ls -l") is None
-    assert command_of("nice mecp-env demo --seed $seed  # a comment") == ["mecp-env", "demo", "--seed", "1"]
-    assert command_of("sbatch --wrap 'mecp-env evaluate --shard $ID/8'")[1:] == ["evaluate", "--shard", "1/8"]
-    assert command_of("mecp-env evaluate a-{3..4} b | head -1")[2:] == ["a-3", "a-4", "b"]
-    assert any(words and "--shard" in words for words in found.values())
 
 
 @pytest.mark.parametrize("line", ["mecp-env explore gain --dificulty hard", "python -m benchmarks sped"])

@@ -60,13 +60,6 @@ def test_the_architecture_has_a_row_for_every_folder() -> None:
         assert not [name for name in folders if not re.search(rf"^\| .*`{name}/`", text, re.MULTILINE)]
 
 
-def test_the_readme_has_the_commands_that_ci_runs() -> None:
-    readme, ci = (ROOT / "README.md").read_text(), (ROOT / ".ci/run").read_text()
-    for heading in re.findall(r'^(?:beside )?run "(.+?)"', ci, re.MULTILINE):
-        below = readme.partition(f"\n## {heading}\n")[2].partition("\n## ")[0]
-        assert "```sh\n" in below, heading
-
-
 def test_the_site_has_every_page_once() -> None:
     lines = (ROOT / "docs/index.md").read_text().splitlines()
     pages = [path for path in ROOT.glob("docs/**/*.md") if path.parent.name not in ("decisions", "environments", "api")]

@@ -1,7 +1,8 @@
-"""What an installation contains."""
+"""What an installation contains, and what is published with a release, as far as it needs no tools of `publish`."""
 
+import hashlib
 import importlib
-import re
+import json
 import subprocess
 import sys
 import tomllib
@@ -9,11 +10,18 @@ import zipfile
 from importlib.util import find_spec
 from pathlib import Path
 
+import gymnasium
 import pytest
+import yaml
 from packaging.requirements import Requirement
 from packaging.version import Version
 
-ROOT = Path(__file__).parent.parent
+import mecp_env  # noqa: F401  (registers the environments)
+from mecp_env.policies.suites import SUITES
+from tests.command_lines import ROOT
+
+PUBLISHING = ROOT / "publishing"
+DESCRIBED = json.loads((PUBLISHING / "croissant.json").read_text())
 
 
 def test_the_wheel_contains_weights_and_layouts_and_nothing_but_the_package(tmp_path: Path) -> None:
@@ -49,9 +57,29 @@ def test_the_lowest_versions_are_the_floors_of_all_dependencies() -> None:
         assert {Version(one.version) for one in specifier if one.operator == ">="} == {version}
 
 
-def test_the_contract_tests_of_ci_exist() -> None:
-    named = re.search(r'^CONTRACT="(.+?)"$', (ROOT / ".ci/run").read_text(), re.MULTILINE | re.DOTALL)
-    assert named is not None
-    files = named[1].split()
-    assert "tests/env/test_contract.py" in files
-    assert [path for path in files if not (ROOT / path).is_file()] == []
+def test_the_dataset_description_has_the_frozen_benchmarks_of_this_version() -> None:
+    named = {part["name"]: part["data"] for part in DESCRIBED["recordSet"]}
+    assert [record["splits/name"] for record in named["splits"]] == ["train", "validation", "test"]
+    expected = [
+        (name, setting.name, setting.split, suite.episodes, setting.max_steps, suite.frozen)
+        for name, suite in SUITES.items()
+        for setting in suite.settings
+        if name in ("active-v1", "coverage-v1")
+    ]
+    columns = [f"suites/{name}" for name in ("suite", "setting", "split", "buildings", "max_steps", "hash")]
+    assert [tuple(record[column] for column in columns) for record in named["suites"]] == expected
+
+
+def test_the_described_files_are_those_in_the_package() -> None:
+    files = {part["@id"]: part for part in DESCRIBED["distribution"]}
+    assert set(files) == {"active-v1.json", "coverage-v1.json"}
+    for part in files.values():
+        assert hashlib.sha256((ROOT / part["contentUrl"]).read_bytes()).hexdigest() == part["sha256"]
+
+
+def test_the_hyperparameters_of_the_zoo_name_environments_of_flat_vectors() -> None:
+    named = yaml.safe_load((PUBLISHING / "rl_zoo3.yml").read_text())
+    for env_id in ("mecp_env/First-v0", "mecp_env/Rooms-v0", "mecp_env/ActiveHalls-v0"):
+        env = gymnasium.make(env_id, **named[env_id].get("env_kwargs", {}))
+        assert isinstance(env.observation_space, gymnasium.spaces.Box)
+        assert isinstance(env.action_space, gymnasium.spaces.Discrete)

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+import shapely
 
 from mecp_env.core.se2 import compose, to_map, to_robot
 from mecp_env.slam.config import GridConfig
@@ -13,33 +14,18 @@ from mecp_env.slam.output import SlamOutput
 from tests.slam import make
 from tests.slam.scans import distances
 
-ROOM_A = (0.0, 0.0, 6.0, 4.0)  # x0, y0, x1, y1
-ROOM_B = (6.12, 0.0, 32.12, 4.0)
-PASSAGE = (6.0, 1.5, 6.12, 2.4)
-PILLAR = (12.0, 1.8, 12.4, 2.2)
-RINGS = [
+RINGS = [  # of two rooms with a passage between them, and of a pillar
     [[0, 0], [6, 0], [6, 1.5], [6.12, 1.5], [6.12, 0], [32.12, 0], [32.12, 4], [6.12, 4], [6.12, 2.4], [6, 2.4]],
     [[12, 1.8], [12, 2.2], [12.4, 2.2], [12.4, 1.8]],
 ]
 RINGS[0] += [[6, 4], [0, 4]]
+FLOOR = shapely.Polygon(RINGS[0], RINGS[1:])
 FACES = np.array([[a, b] for ring in RINGS for a, b in zip(ring, [*ring[1:], ring[0]], strict=True)], np.float64)
 A_CORNERS, A_JAMBS = [[0, 0], [6, 0], [6, 4], [0, 4]], [[6, 1.5], [6, 2.4]]
 B_JAMBS, B_CORNERS = [[6.12, 1.5], [6.12, 2.4]], [[6.12, 0], [32.12, 0], [32.12, 4], [6.12, 4]]
 LANDMARKS = np.array([*A_CORNERS, *A_JAMBS, *B_JAMBS, *B_CORNERS], np.float64)
 BEARINGS = -np.pi + 2 * np.pi * (np.arange(720) + 1) / 720
 HERE = np.zeros(3)
-
-
-def inside(rect: tuple[float, float, float, float], p: np.ndarray) -> np.ndarray:
-    """(n,) True inside a rectangle."""
-    return (p[:, 0] > rect[0]) & (p[:, 1] > rect[1]) & (p[:, 0] < rect[2]) & (p[:, 1] < rect[3])
-
-
-def is_free(p_world: np.ndarray) -> np.ndarray:
-    """(n,) True on the floor."""
-    floor = inside(ROOM_A, p_world) | inside(ROOM_B, p_world) | inside(PASSAGE, p_world)
-    floor |= (np.abs(p_world[:, 0] - 6.06) <= 0.06) & (p_world[:, 1] > 1.5) & (p_world[:, 1] < 2.4)
-    return floor & ~inside(PILLAR, p_world)
 
 
 def cast_rays(T_world_robot: np.ndarray, faces: np.ndarray = FACES) -> tuple[np.ndarray, np.ndarray]:
@@ -140,9 +126,7 @@ class Toy:
 
 def wall_distance(p_world: np.ndarray) -> float:
     """Distance from a point to the nearest face."""
-    a, e = FACES[:, 0], FACES[:, 1] - FACES[:, 0]
-    share = np.clip(((p_world - a) * e).sum(axis=1) / (e * e).sum(axis=1), 0.0, 1.0)
-    return float(np.hypot(*(a + share[:, None] * e - p_world).T).min())
+    return float(FLOOR.boundary.distance(shapely.Point(p_world)))
 
 
 def free_iou(
@@ -153,7 +137,7 @@ def free_iou(
     x, y = np.meshgrid(np.arange(x0 + 0.025, x1, 0.05), np.arange(y0 + 0.025, y1, 0.05))
     p_world = np.stack([x.ravel(), y.ravel()], axis=1)
     label = labels_at(grid, to_map(T_map_world, p_world))
-    believed, true = np.isin(label, (1, 3)), is_free(p_world)
+    believed, true = np.isin(label, (1, 3)), shapely.contains_xy(FLOOR, p_world)
     return float((believed & true).sum() / (believed | true).sum())
 
 

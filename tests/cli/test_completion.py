@@ -17,16 +17,11 @@ printf '%s\\n' "${COMPREPLY[@]}"
 """
 
 
-def script(shell: str, capsys: Captured) -> str:
-    """What the command prints."""
-    assert cli.main(["completion", shell]) == 0
-    return capsys.readouterr().out
-
-
 @pytest.mark.skipif(shutil.which("bash") is None, reason="runs bash")
 def test_bash_completes_commands_and_options(tmp_path: Path, capsys: Captured) -> None:
     file = tmp_path / "completion"
-    file.write_text(script("bash", capsys))
+    assert cli.main(["completion", "bash"]) == 0
+    file.write_text(capsys.readouterr().out)
 
     def completed(*words: str) -> list[str]:
         line = ["bash", "-c", ASK, "bash", str(file), "mecp-env", *words]

@@ -42,10 +42,7 @@ def test_words_of_an_option_add_up_in_their_order() -> None:
     ("words", "line", "path", "value"),
     [
         ("worlds generate", "--shapes L --seed 3 --shapes T", "spec.shapes", ("L", "T")),
-        ("worlds generate", "--pieces=shelf --pieces box", "spec.pieces", ("shelf", "box")),
         ("train", "ppo --buildings.difficulty easy --buildings.difficulty hard", "fields.buildings.difficulty", None),
-        ("train", "ppo --buildings.spec rooms 5 --buildings.spec loops 1", "fields.buildings.spec", None),
-        ("train", "ppo --env.reward.custom a 1 --env.reward.custom b 2", "fields.env.reward.custom", {"a": 1, "b": 2}),
         ("demo", "--config.reward.custom a 1 --config.reward.custom b 2", "config.reward.custom", {"a": 1, "b": 2}),
         ("slam", "x.bag --scan-topic /a --scan-topic /b", "scan_topic", ("/a", "/b")),
         ("demo", "--with a --with b", "modules", ("a", "b")),
@@ -73,7 +70,6 @@ def test_a_benchmark_has_all_words() -> None:
         (["--env.reward.completion", "1"], "--env.reward.preset"),
         (["--config.reward.a-optimality=2"], "--config.reward.preset"),
         ([], None),
-        (["--env.reward.custom", "own", "1"], None),
         (["--env.reward.source", "truth"], None),
     ],
 )

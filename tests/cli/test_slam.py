@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from PIL import Image
 
 from mecp_env.cli import main as cli
 from mecp_env.cli import runs
@@ -69,11 +68,8 @@ def test_a_log_becomes_a_map(kept: Path) -> None:
     assert metrics["ate_m"] < 0.05 < metrics["dead_reckoning_ate_m"]
     assert metrics["final_converged"]
     assert metrics["final_ate_m"] < 0.05
-    assert metrics["polygon_share"] > 0.5
     assert len(load_plan(kept / "belief.yaml").rooms) == len(load_plan(kept / "belief_final.yaml").rooms) == 2
     assert len((kept / "landmarks_final.csv").read_text().splitlines()) == 1 + metrics["landmarks"]
-    with Image.open(kept / "run.gif") as film:
-        assert film.n_frames > 10
     names = "trajectory.tum", "trajectory_final.tum", "truth.tum"
     estimated, final, reference = (np.loadtxt(kept / name) for name in names)  # in one frame
     np.testing.assert_array_equal(estimated[:, 0], reference[:, 0])
@@ -99,9 +95,6 @@ def test_the_calibration_is_kept_and_printed(kept: Path, log: Path, tmp_path: Pa
     fields = metrics_of(tmp_path / "run")["calibration"]["fields"]
     assert [fields[name]["value"] for name in ("distance_scale", "turn_sigma_deg", "x_m")] == [1.05, 3.0, 0.02]
     assert fields["distance_scale"]["source"] == "given"
-    assert cli.main([*line, "--noise", "paper"]) == 0
-    assert "calibration" not in metrics_of(tmp_path / "run")
-    assert "calibration by" not in capsys.readouterr().out
     assert cli.main([*line, "--noise", "paper", "--noise.turn-scale", "1.1"]) == 2
     assert "turn_scale given" in capsys.readouterr().err
 
@@ -116,41 +109,20 @@ def test_the_pose_is_found_in_a_saved_map(kept: Path, log: Path) -> None:
     assert metrics["localised_share"] > 0.9
     assert metrics["ate_m"] < 0.05
     assert (metrics["rooms"], metrics["doors"]) == (2, 1)
-    with np.load(log) as whole:
-        short = {name: whole[name][:20] for name in ("t", "ranges", "odo", "ref")}
-    cut = changed(log, log.parent / "cut.npz", **short)  # the drive once more, up to the first scans
-    assert cli.main(["slam", str(cut), *line[2:], "0,0,0"]) == 0
-    assert cli.main([*line, "here"]) == 2
-    assert cli.main([*line, "nan,0,0"]) == 2
+    assert [cli.main([*line, place]) for place in ("here", "nan,0,0")] == [2, 2]
 
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("blank_figures")
-def test_a_log_without_odometry_is_registered(log: Path, tmp_path: Path, capsys: Said) -> None:
-    assert cli.main(["slam", str(changed(log, tmp_path / "a.npz", odo=None)), "--out", str(tmp_path / "a")]) == 0
-    assert "odometry none" in capsys.readouterr().out
-    assert metrics_of(tmp_path / "a")["ate_m"] < 0.1
-    assert cli.main(["slam", str(log), "--out", str(tmp_path / "b"), "--odometry", "none"]) == 0
-    assert metrics_of(tmp_path / "b")["ate_m"] == metrics_of(tmp_path / "a")["ate_m"]
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_figures")
-def test_a_mirrored_laser_is_named_and_mended(
-    log: Path, tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_mirrored_laser_is_named(log: Path, tmp_path: Path, capsys: Said, monkeypatch: pytest.MonkeyPatch) -> None:
     with np.load(log) as whole:
         changed(log, tmp_path / "a.npz", angles=-whole["angles"])
-    with monkeypatch.context() as patched:
-        patched.setattr(log_run, "fault_of", lambda run, options: "of no use")
-        assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
+    monkeypatch.setattr(log_run, "fault_of", lambda run, options: "of no use")
+    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "a")]) == 1
     said = capsys.readouterr()
     assert "try --mirror" in said.out
     assert "of no use; the laser seems to be mirrored" in said.err
     assert any("--mirror" in note for note in metrics_of(tmp_path / "a")["notes"])
-    assert cli.main(["slam", str(tmp_path / "a.npz"), "--out", str(tmp_path / "b"), "--mirror"]) == 0
-    assert "try --mirror" not in capsys.readouterr().out
-    assert metrics_of(tmp_path / "b")["ate_m"] < 0.05
 
 
 @pytest.mark.usefixtures("blank_figures")
@@ -158,7 +130,7 @@ def test_options_reach_the_estimator(log: Path, tmp_path: Path) -> None:
     line = (
         "--odometry reference --seed 3 --config.sensor.range-sigma-m 0.07 --noise.scale 0.5 --rest-m 0.3 --rest-deg 40"
     )
-    assert cli.main(["slam", str(log), "--out", str(tmp_path), *line.split(), "--max-range-m", "9"]) == 0
+    assert cli.main(["slam", str(log), "--out", str(tmp_path), *line.split()]) == 0
     recipe = json.loads((tmp_path / "config.json").read_text())
     assert recipe["config"]["sensor"]["range_sigma_m"] == 0.07
     assert recipe["config"]["sensor"]["field_of_view_deg"] == 360.0
@@ -189,8 +161,6 @@ def test_what_cannot_be_mapped_is_one_line(log: Path, kept: Path, tmp_path: Path
     small = ["--config.sensor.range-sigma-m", "0.1"]
     for said, source, more in (
         ("no ranges in the archive", write_archive(tmp_path / "a.npz", ranges=None), []),
-        ("no such file", tmp_path / "none.npz", []),
-        ("a folder without a bag", tmp_path, []),
         ("name one by --from-map", log, ["--start", "unknown"]),
         ("a map has its own configuration", log, ["--from-map", saved, *small]),
         ("name another file", log, ["--save-map", str(log)]),

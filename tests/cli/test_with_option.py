@@ -39,9 +39,8 @@ def parts(own_parts: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.usefixtures("parts")
-@pytest.mark.parametrize("jobs", ["1", "2"])
-def test_policy_associator_and_reward_of_a_module_are_evaluated(jobs: str) -> None:
-    line = ["own_policy", "--layout", "two_rooms", "--episodes", "2", "--no-truth", "--jobs", jobs, "--max-steps", "30"]
+def test_policy_associator_and_reward_of_a_module_are_evaluated_in_other_processes() -> None:
+    line = ["own_policy", "--layout", "two_rooms", "--episodes", "2", "--no-truth", "--jobs", "2", "--max-steps", "30"]
     assert cli.main(["evaluate", *line, "--reference", "own_policy", *OWN, *WEIGHT, "--out", "runs"]) == 0
     result = json.loads(Path("runs/results.json").read_text())
     assert result["setting"]["env"]["slam"]["association"]["method"] == "own_associator"
@@ -55,26 +54,3 @@ def test_episodes_of_another_module_are_refused(parts: Path, capsys: Captured) -
     parts.write_text(PARTS + "\n# changed\n")
     assert cli.main([*line, *OWN, "--out", "runs"]) == 2
     assert "module own_parts_of_a_test" in capsys.readouterr().err
-
-
-@pytest.mark.usefixtures("parts")
-@pytest.mark.parametrize(
-    ("module", "told"),
-    [
-        ("no_such_module", "--with no_such_module: ModuleNotFoundError: No module named 'no_such_module'"),
-        ("own_parts_of_a_test.py", "a module is named as `import` names it: own_parts_of_a_test"),
-        ("broken", "--with broken: ZeroDivisionError: division by zero"),
-    ],
-)
-def test_a_module_that_cannot_be_imported_is_named(module: str, told: str, capsys: Captured) -> None:
-    Path("broken.py").write_text("1 / 0\n")
-    assert cli.main(["demo", "--layout", "two_rooms", "--out", "runs", f"--with={module}"]) == 2
-    assert told in capsys.readouterr().err
-
-
-def test_without_the_module_the_option_is_told_of(capsys: Captured) -> None:
-    with pytest.raises(SystemExit):
-        cli.main(["evaluate", "nearest", *WEIGHT])
-    told = " ".join(capsys.readouterr().err.replace("│", " ").split())
-    assert "landmarks_seen: not registered by register_reward" in told
-    assert "--with MODULE imports a module" in told

@@ -2,7 +2,6 @@
 
 import copy
 import json
-import re
 import struct
 import zlib
 from collections.abc import Callable
@@ -30,25 +29,14 @@ YAML_VALUES = (
 SIZES = (0, 1, 2, 7, 255, 256, 4096, 4097, 65_535, 100_000, 2**31 - 1, 2**31, 2**32 - 1)
 
 
-def sources() -> dict[str, list[Path]]:
-    """Files of each kind: the included layouts, and the real plans where present."""
-    real = plans.REAL
-    found = {"layout": sorted(LIBRARY.glob("*.json"))}
-    if real is not None:
-        found["houseexpo"] = sorted((real / "houseexpo").glob("*.json"))
-        found["map_server"] = sorted((real / "ros_map").glob("*.yaml"))
-        found["map_image"] = sorted((real / "ros_map").glob("*.png"))
-        found["dungeon"] = sorted((real / "dungeon").glob("*.png"))
-    return found
-
-
 def made(folder: Path) -> dict[str, list[Path]]:
-    """Files of each kind made here: what stands for the real ones where they are not, and kinds of which none is."""
+    """Files of each kind: the included layouts, and others made here."""
     house = folder / "house.json"
     house.write_text(json.dumps(plans.house()))
     return {
-        "made_house": [house],
-        "made_sheet": [plans.map_pair(folder, plans.two_rooms_picture())],
+        "layout": sorted(LIBRARY.glob("*.json")),
+        "house": [house],
+        "sheet": [plans.map_pair(folder, plans.two_rooms_picture())],
         "pgm": [folder / "map.pgm"],
         "png": [plans.save(plans.corridor_picture(), folder / "plan.png")],
         "labelled": [plans.save(plans.labelled_picture(), folder / "rooms.png")],
@@ -125,7 +113,7 @@ def spoilt_image(data: bytes, rng: Random) -> bytes:
     """An image with another size, depth or kind in its header, chunks cut, doubled or added, or other pixels."""
     if rng.random() < 0.3:
         return _redrawn(data, rng)
-    return _spoilt_png(data, rng) if data.startswith(b"\x89PNG") else _spoilt_pnm(data, rng)
+    return _spoilt_png(data, rng) if data.startswith(b"\x89PNG") else spoilt_bytes(data[:16], rng) + data[16:]
 
 
 def _spoilt_png(data: bytes, rng: Random) -> bytes:
@@ -141,35 +129,13 @@ def _spoilt_png(data: bytes, rng: Random) -> bytes:
     return data[:8] + whole + data[33:]
 
 
-def _spoilt_pnm(data: bytes, rng: Random) -> bytes:
-    """Another number or letter in the header."""
-    parts = re.match(rb"P(\d)\s+(\d+)\s+(\d+)\s+(\d+)\s", data)
-    assert parts is not None
-    fields = [int(part) for part in parts.groups()]
-    which = int(rng.integers(4))
-    fields[which] = int(rng.integers(1, 8)) if which == 0 else int(rng.choice(SIZES))
-    comment = b"# x\n" if rng.random() < 0.2 else b""
-    return b"P%d\n%s%d %d\n%d\n" % (fields[0], comment, *fields[1:]) + data[parts.end() :]
-
-
 def _redrawn(data: bytes, rng: Random) -> bytes:
-    """The same picture in another mode, with noise, or cut."""
-    image = Image.open(BytesIO(data))
-    image.load()
-    kind = image.format
-    change = int(rng.integers(4))
-    if change == 0:
-        image = image.convert(str(rng.choice(["1", "L", "LA", "P", "RGB", "RGBA", "I;16"])))
-        kind = "PNG"
-    elif change == 1:
-        pixels = np.array(image.convert("RGB"))
-        pixels[rng.random(pixels.shape[:2]) < 10.0 ** -rng.integers(1, 5)] = rng.integers(0, 256, 3)
-        image = Image.fromarray(pixels)
-    else:
-        left, top = (int(rng.integers(0, side)) for side in image.size)
-        image = image.crop((left, top, left + int(rng.integers(1, 400)), top + int(rng.integers(1, 400))))
-    out = BytesIO()
-    image.save(out, format="PNG" if kind == "PNG" else "PPM")
+    """The same picture in another mode, or a part of it."""
+    image, out = Image.open(BytesIO(data)), BytesIO()
+    left, top = (int(rng.integers(0, side)) for side in image.size)
+    mode, size = str(rng.choice(["1", "L", "LA", "P", "RGB", "RGBA", "I;16"])), int(rng.integers(1, 400))
+    image = image.convert(mode) if rng.random() < 0.5 else image.crop((left, top, left + size, top + size))
+    image.save(out, "PNG")
     return out.getvalue()
 
 

@@ -13,7 +13,7 @@ from shapely.geometry import Point, Polygon
 
 from mecp_env.core.errors import ConfigError, LayoutError, PlanWarning
 from mecp_env.floorplans import load_plan
-from mecp_env.floorplans.straighten import along_directions, directions, straightened
+from mecp_env.floorplans.straighten import directions, straightened
 from mecp_env.world.layout import Layout, load_layout
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import Pillar
@@ -78,7 +78,7 @@ def test_doors_in_double_walls_beside_partitions_and_in_frames(turn: float, tmp_
     assert (len(layout.rooms), len(layout.doors)) == (8, 8)
 
 
-@pytest.mark.parametrize("turn", [7.0, 33.0, 60.0])
+@pytest.mark.parametrize("turn", [7.0, 60.0])
 def test_a_turned_plan_is_the_same_plan(turn: float, tmp_path: Path) -> None:
     path = plans.map_pair(tmp_path, plans.two_rooms_picture(), origin=[3.0, -2.0, math.radians(turn)])
     layout = load_plan(path)
@@ -206,12 +206,6 @@ def test_stairs_become_a_slope_and_noise_on_the_walls_goes() -> None:
     assert np.abs((angles + 45.0) % 90.0 - 45.0).max() < 1e-6
 
 
-def test_a_clean_plan_goes_along_its_directions_and_a_ragged_one_does_not() -> None:
-    angle = np.linspace(0.0, 2.0 * math.pi, 200, endpoint=False)
-    assert along_directions(Polygon([(0, 0), (9, 1), (8, 10), (-1, 9)])) == pytest.approx(1.0)
-    assert along_directions(Polygon(np.column_stack([np.cos(angle), np.sin(angle)]))) < 0.5
-
-
 def test_where_a_ring_begins_makes_no_corner() -> None:
     """The blurred end of a wall of 0.13 m between two rooms, with the ring begun at any of its points."""
     end = [(2.0, 1.5), (2.02, 1.44), (2.08, 1.43), (2.13, 1.46)]
@@ -263,18 +257,6 @@ def test_wrong_options_are_named(tmp_path: Path) -> None:
     for kind, options, said in wrong:
         with pytest.raises(kind, match=said):
             load_plan(path, **options)
-
-
-def test_walls_of_one_pixel_are_walls(tmp_path: Path) -> None:
-    """A grid of 5 x 5 rooms as coarse as a board game: doors of four pixels of 0.25 m."""
-    picture = np.full((101, 101), 255, dtype=np.uint8)
-    picture[::20, :], picture[:, ::20] = 0, 0
-    for at in range(8, 100, 20):
-        for wall in range(20, 100, 20):
-            picture[wall, at : at + 4] = picture[at : at + 4, wall] = 255
-    layout = load_plan(plans.save(picture, tmp_path / "grid.png"), resolution_m=0.25)
-    assert (len(layout.rooms), len(layout.doors)) == (25, 40)
-    assert all((d.width_m, d.depth_m) == pytest.approx((1.0, 0.25), abs=0.02) for d in layout.doors)
 
 
 @pytest.mark.parametrize("turn", [0, 20, 45])

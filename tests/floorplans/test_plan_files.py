@@ -4,7 +4,7 @@ import json
 import struct
 import time
 import zlib
-from collections.abc import Callable
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,8 @@ from PIL import Image
 from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans import load_plan
 from tests.floorplans import plans
-from tests.floorplans.untrusted import MEGABYTES, SECONDS, costs, plan
+from tests.floorplans.untrusted import MEGABYTES, SECONDS, costs
+from tests.processes import needs_linux
 
 pytestmark = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarning")
 
@@ -41,72 +42,28 @@ def sheet(**fields: str) -> bytes:
     return "".join(f"{key}: {value}\n" for key, value in given.items()).encode()
 
 
-def as_png(picture: np.ndarray[Any, Any]) -> Callable[[Path], None]:
-    return lambda path: Image.fromarray(picture).save(path)
-
-
-def as_jpeg(path: Path) -> None:
-    Image.fromarray(plans.two_rooms_picture()).convert("RGB").save(path, format="JPEG")
-
-
-def transparent(path: Path) -> None:
-    """The colour of the floor is."""
-    Image.fromarray(np.where(plans.two_rooms_picture() == 254, 255, 0).astype(np.uint8)).save(path, transparency=255)
-
-
-def of_unknown(path: Path) -> None:
-    """A map without any cell that is known."""
-    plans.map_pair(path.parent, np.full((80, 80), 205, np.uint8), free_thresh=0.25)
-
-
-def sound_png(change: Callable[[bytes], bytes]) -> Callable[[Path], None]:
-    """A sound picture whose bytes were changed. Seen: half a picture was read as a plan, the rest being black."""
-    return lambda path: path.write_bytes(change(plans.save(plans.two_rooms_picture(), path).read_bytes())) and None
-
-
-def flipped(data: bytes) -> bytes:
-    """With one byte of the pixels changed."""
-    return data[:-40] + bytes([data[-40] ^ 255]) + data[-39:]
-
-
-def with_size(width: int, height: int) -> Callable[[Path], None]:
-    """A PNG with another size in its header, and the checksum for it."""
-    header = b"IHDR" + struct.pack(">II", width, height)
-
-    def changed(data: bytes) -> bytes:
-        whole = header + data[24:29]
-        return data[:12] + whole + struct.pack(">I", zlib.crc32(whole)) + data[33:]
-
-    return sound_png(changed)
+def encoded(picture: np.ndarray[Any, Any], kind: str = "PNG", **options: Any) -> bytes:
+    """A picture as a file of an image format."""
+    file = BytesIO()
+    Image.fromarray(picture).save(file, kind, **options)
+    return file.getvalue()
 
 
 def noise(size: int, share: float) -> np.ndarray[Any, Any]:
     return ((np.random.default_rng(0).random((size, size)) > share) * 255).astype(np.uint8)
 
 
-def with_a_palette(path: Path) -> None:
-    """Bars over all that an image may be, in a palette of which one colour is clear: decoded it is four times as large.
-
-    Seen: 256 MB for such a file of 22 kB.
-    """
-    image = Image.fromarray(np.tile(np.arange(4096) // 64 % 3, (4096, 1)).astype(np.uint8))
-    image.putpalette([0, 0, 0, 255, 255, 255, 90, 90, 90])
-    image.save(path, transparency=2)
-
-
+TWO_ROOMS, SOUND_PNG = plans.two_rooms_picture(), encoded(plans.two_rooms_picture())
+FLOOR = np.where(TWO_ROOMS == 254, 255, 0).astype(np.uint8)
 ZEROS = zlib.compress(bytes(1000))
 TOO_LARGE = r"at most 16777216 .*scale it down, and give the metres per pixel"
 OTHER_JSON = r"JSON of another kind; read are .*HouseExpo"
 STAR = [[float((50 + 20 * (i % 2)) * f(i / 1500)) for f in (np.cos, np.sin)] for i in range(9000)]
-BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
+BAD: dict[str, tuple[str, bytes, str]] = {
     "wrong ending": ("plan.txt", b"", r"no plan by its ending, '\.txt'; read are .*PNG"),
     "nothing in it": ("plan.json", b"", r"no JSON"),
-    "a list": ("plan.json", b"[1]", r"expected an object, given list"),
-    "nested too deep": ("plan.json", b"[" * 900_000, r"no JSON: maximum recursion depth"),
-    "too large a file": ("plan.json", b" " * 2_000_001, r"2000001 bytes, at most 2000000"),
     "a key twice": ("plan.json", b'{"verts": [], "verts": []}', r"verts: given twice"),
     "no points": ("plan.json", house(verts=[]), r"verts: .*at least 3 items"),
-    "point of three": ("plan.json", house(verts=[[0, 0], [1, 0, 0], [1, 1]]), r"verts\.1: .*at most 2 .*\[1, 0, 0\]"),
     "nan": ("plan.json", house(verts=[[0, 0], [1, 0], [1, float("nan")]]), r"verts\.2\.1: .*finite number.*nan"),
     "far away": ("plan.json", house(verts=[[0, 0], [1e5, 0], [1, 1]]), r"verts\.1\.0: .*equal to 1000.*100000"),
     "crosses itself": ("plan.json", house(verts=[[0, 0], [5, 5], [5, 0], [0, 5]]), r"not a simple .*Self-inter"),
@@ -115,26 +72,24 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
     "box of three": ("plan.json", house(room_category={"a": [[0, 0, 1]]}), r"room_category\.a\.0\.3: Field required"),
     "too many boxes": ("plan.json", house(room_category={"a": [[0, 0, 1, 1]] * 501}), r"501 boxes, at most 500"),
     "image of 100,000 a side": ("plan.png", png(100_000, 100_000, ZEROS), r"image: .*at most 16777216 pixels"),
-    "pixmap of 100,000 a side": ("plan.pgm", b"P5 100000 100000 255\n", r"image: .*at most 16777216 pixels"),
     "pixmap of 20,000 a side": ("plan.pgm", b"P5 20000 20000 255\n", TOO_LARGE),  # Pillow refuses it
     "more pixels": ("plan.pgm", b"P5 10 10 255\n" + bytes(5000), r"more than 100 bytes of pixels, 100 .*10 x 10"),
     "pixmap of 5,000 a side": ("plan.pgm", b"P5 5000 5000 255\n", TOO_LARGE),
+    "rows behind the last": ("plan.png", png(10, 5, zlib.compress(bytes(110))), "more than 55 bytes of pixels, 55 exp"),
     "header that lies": ("plan.png", png(4000, 4000, ZEROS), r"image: .* bytes of pixels, 16\d+ expected"),
     "decompression bomb": ("plan.png", png(4096, 4096, zlib.compress(bytes(4096 * 16385), 9), 6), r"one grey level"),
     "16 bits a pixel": ("plan.png", png(3, 1, zlib.compress(bytes(7)), 0, 16), r"image: .*mode I"),
     "other image format": ("plan.png", b"GIF89a" + bytes(50), r"image: .*GIF picture"),
-    "JPEG": ("plan.png", as_jpeg, r"JPEG.*save it as a PNG"),
+    "JPEG": ("plan.png", encoded(TWO_ROOMS, "JPEG"), r"JPEG.*save it as a PNG"),
     "pointer of Git LFS": ("plan.pgm", b"version https://git-lfs.github.com/spec/v1\noid sha256:0\n", "git lfs pull"),
-    "floor is transparent": ("plan.png", transparent, "no pixel is floor; check"),
-    "taller": ("plan.png", with_size(186, 200), r"image: 'plan\.png': .*of pixels, 37400 expected .*186 x 200"),
-    "shorter": ("plan.png", with_size(186, 100), r"more than 18700 bytes of pixels, 18700 expected"),
-    "cut": ("plan.png", sound_png(lambda data: data[:-12]), "truncated: .* without the chunk IEND"),
-    "changed": ("plan.png", sound_png(flipped), "image: 'plan.png': .*wrong checksum of the chunk b'IDAT'"),
+    "floor is transparent": ("plan.png", encoded(FLOOR, transparency=255), "no pixel is floor; check"),
+    "cut": ("plan.png", SOUND_PNG[:-12], "truncated: .* without the chunk IEND"),
+    "changed": ("plan.png", SOUND_PNG[:-40] + b"x" + SOUND_PNG[-39:], "wrong checksum of the chunk b'IDAT'"),
     "endless header": ("plan.pgm", b"P5 " + b"#" * 5_000_000, r"image: .*damaged.*header"),
     "many digits": ("plan.pgm", b"P2 2000 2000 255 " + b"1 " * 500, r"image: .*2000 x 2000 pixels, at most 1000000"),
-    "one grey": ("plan.png", as_png(np.full((50, 50), 7, dtype=np.uint8)), r"image: all its pixels have one grey"),
-    "only dust": ("plan.png", as_png(noise(1000, 0.5)), r"no floor is wide enough"),
-    "dust on the floor": ("plan.png", as_png(noise(1900, 0.1)), r"image: \d+ pieces of wall, at most 5000; erase"),
+    "one grey": ("plan.png", encoded(np.full((50, 50), 7, dtype=np.uint8)), r"image: all its pixels have one grey"),
+    "only dust": ("plan.png", encoded(noise(1000, 0.5)), r"no floor is wide enough"),
+    "dust on the floor": ("plan.png", encoded(noise(1900, 0.1)), r"image: \d+ pieces of wall, at most 5000; erase"),
     "no yaml": ("map.yaml", b"image: [", r"no yaml"),
     "yaml of another kind": ("map.yaml", b"- 1\n- 2\n", r"a mapping with image, resolution and origin .*list"),
     "yaml with a tag": ("map.yaml", sheet(mode="!!python/object/apply:os.getcwd []"), r"no yaml: .*tag"),
@@ -149,31 +104,24 @@ BAD: dict[str, tuple[str, bytes | Callable[[Path], None], str]] = {
     "origin far away": ("map.yaml", sheet(origin="[0, 0, 1000]"), r"origin\.2: .*less than or equal to 6\.28.*1000"),
     "unknown mode": ("map.yaml", sheet(mode="colourful"), r"mode: .*'trinary', 'scale' or 'raw' .*'colourful'"),
     "thresholds crossed": ("map.yaml", sheet(free_thresh="0.7"), r"free_thresh: 0\.7 is not below occupied_thresh"),
-    "no image": ("map.yaml", sheet(image="other.pgm"), r"map\.yaml: image: 'other\.pgm': no such file"),
-    "mode is checked before the image": ("map.yaml", sheet(image="other.pgm", mode="x"), r"mode: .*'x'"),
     "image is a folder": ("map.yaml", sheet(image="."), r"no such file|cannot be read"),
     "path that leaves": ("map.yaml", sheet(image="../../etc/passwd"), r"image: '\.\./\.\./etc/passwd'"),
     "absolute path": ("map.yaml", sheet(image="/etc/hostname"), r"image: '/etc/hostname' leaves the folder"),
     "NUL in the path": ("map.yaml", sheet(image='"a\\0b"'), r"image: 'a.*b': no such file"),
-    "all is unknown": ("map.yaml", of_unknown, "no pixel is floor"),
+    "all is unknown": ("map.yaml", sheet(free_thresh="0"), "no pixel is floor"),
     "DXF": ("a.dxf", b"0", "DXF.*HouseExpo"),
     "GeoJSON": ("a.json", b'{"type": "FeatureCollection", "features": []}', "GeoJSON.*HouseExpo"),
     "ProcTHOR": ("a.json", b'{"rooms": [], "walls": [], "objects": [], "doors": []}', "ProcTHOR.*HouseExpo"),
     "RMF": ("a.yaml", b"levels: {L1: {vertices: []}}", "RMF.*HouseExpo"),
     "TopoJSON": ("a.json", b'{"type": "Topology", "objects": {}}', OTHER_JSON),
-    "an empty object": ("a.json", b"{}", OTHER_JSON),
 }  # fmt: skip
 
 
 def written(folder: Path, name: str) -> Path:
-    """The file of a case, next to a valid map.pgm."""
-    plans.save(plans.two_rooms_picture(), folder / "map.pgm")
-    file, content, _ = BAD[name]
-    path = folder / file
-    if callable(content):
-        content(path)
-    else:
-        path.write_bytes(content)
+    """The file of a case, next to a valid map.pgm. Seen: half a picture was read as a plan, the rest being black."""
+    plans.save(TWO_ROOMS, folder / "map.pgm")
+    path = folder / BAD[name][0]
+    path.write_bytes(BAD[name][1])
     return path
 
 
@@ -236,33 +184,23 @@ def test_labelled_images_that_are_none(tmp_path: Path) -> None:
     for message, picture in cases.items():
         with pytest.raises(LayoutError, match=message):
             load_plan(plans.save(picture, tmp_path / "plan.png"), kind="labelled", resolution_m=0.05)
-    assert time.thread_time() - begun < 10.0 * SECONDS
+    assert time.thread_time() - begun < 3.0 * SECONDS
 
 
 @pytest.mark.slow
-def test_bad_files_cost_less_than_two_seconds_and_200_megabytes(tmp_path: Path) -> None:
-    """docs/plans.md promises 3 s, which a damaged image of the largest size takes, and 200 MB."""
-    sound = plans.map_pair(tmp_path, plans.two_rooms_picture())
-    files = []
+@needs_linux
+def test_bad_files_cost_little_time_and_less_than_200_megabytes(tmp_path: Path) -> None:
+    """So do bars of 4096 x 4096 pixels in a palette of which one colour is clear. Seen: decoded, 256 MB."""
+    bars, files = tmp_path / "bars.png", []
+    image = Image.fromarray(np.tile(np.arange(4096) // 64 % 3, (4096, 1)).astype(np.uint8))
+    image.putpalette([0, 0, 0, 255, 255, 255, 90, 90, 90])
+    image.save(bars, transparency=2)
     for name in BAD:
-        folder = tmp_path / name
-        folder.mkdir()
-        files.append(written(folder, name))
-    rows = costs(plan, str(sound), files)
-    assert all(letters for _, _, letters, _ in rows)
-    for column, most in enumerate((SECONDS, MEGABYTES)):
-        assert max((row[column], row[-1]) for row in rows) < (most, "")
-
-
-@pytest.mark.slow
-def test_floors_that_are_simplified_cost_little(tmp_path: Path) -> None:
-    """Floors of 4096 x 4096 pixels: dust, and bars in a palette of which one colour is clear."""
-    sound = plans.map_pair(tmp_path, plans.two_rooms_picture())
-    files = [tmp_path / "dust.png", tmp_path / "bars.png"]
-    as_png(noise(4096, 0.3))(files[0])
-    with_a_palette(files[1])
-    for column, most in enumerate((10.0, 300.0)):
-        assert max((row[column], row[-1]) for row in costs(plan, str(sound), files)) < (most, "")
+        (tmp_path / name).mkdir()
+        files.append(written(tmp_path / name, name))
+    rows = costs(plans.map_pair(tmp_path, TWO_ROOMS), [bars, *files])
+    assert [row[2] for row in rows] == [False] + [True] * len(files)
+    assert not [row for row in rows if row[0] >= SECONDS or row[1] >= MEGABYTES]
 
 
 @pytest.mark.slow

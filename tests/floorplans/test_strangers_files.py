@@ -31,11 +31,10 @@ def test_unknown_of_nav2_is_not_floor(tmp_path: Path) -> None:
     ("there", "written", "said"),
     [
         ("map.pgm", "maps/map.pgm", "beside the yaml"),
-        ("map.pgm", "~/map.pgm", "beside the yaml"),
+        ("map.pgm", "../map.pgm", "is not there, or not in this folder"),
         ("map.pgm", "/maps/robot/map.pgm", "beside the yaml"),
         ("map.pgm", r"C:\\maps\\map.pgm", "beside the yaml"),
         ("MAP.PGM", "map.pgm", r"MAP\.PGM"),
-        ("maps/map.pgm", "maps/MAP.PGM", r"'maps/map\.pgm' beside"),
         ("maps/map.pgm", r"Maps\\map.pgm", r"'maps/map\.pgm' beside"),
     ],
 )
@@ -47,16 +46,7 @@ def test_an_image_that_is_elsewhere_than_the_yaml_says(there: str, written: str,
     with pytest.warns(PlanWarning, match=said):
         assert len(load_plan(path).rooms) == 2
     (tmp_path / there).rename(tmp_path / "map2.pgm")
-    with pytest.raises(LayoutError, match=r"image: .*(?i:map\.pgm)"):
-        load_plan(path)
-
-
-def test_an_image_outside_of_the_folder_is_not_said_to_be_missing(tmp_path: Path) -> None:
-    (tmp_path / "a").mkdir()
-    path = pair(tmp_path / "a")
-    pair(tmp_path)
-    path.write_text(path.read_text().replace("map.pgm", "../map.pgm"))
-    with pytest.warns(PlanWarning, match="is not there, or not in this folder"):
+    with pytest.raises(LayoutError, match=r"image: .*did you mean 'map2\.pgm'"):
         load_plan(path)
 
 
@@ -64,13 +54,6 @@ def test_an_image_outside_of_the_folder_is_not_said_to_be_missing(tmp_path: Path
 def test_a_wrong_field_of_a_map_comes_with_what_is_expected(fields: dict[str, Any], tmp_path: Path) -> None:
     with pytest.raises(LayoutError, match=r"given: .*; expected .* m per pixel, origin .* 0 will do.* from 0 to 1"):
         load_plan(pair(tmp_path, **fields))
-
-
-def test_an_image_of_a_similar_name_is_a_guess(tmp_path: Path) -> None:
-    path = pair(tmp_path)
-    (tmp_path / "map.pgm").rename(tmp_path / "map2.pgm")
-    with pytest.raises(LayoutError, match=r"did you mean 'map2\.pgm'"):
-        load_plan(path)
 
 
 @pytest.mark.parametrize("ending", ["bmp", "tif"])

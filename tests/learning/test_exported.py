@@ -9,14 +9,12 @@ from typing import Any
 import gymnasium
 import numpy as np
 import pytest
+import torch
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("stable_baselines3")
-
-from mecp_env.core.errors import ConfigError  # noqa: E402
-from mecp_env.policies.registry import Policy, make_policy, policy_checksum  # noqa: E402
-from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode  # noqa: E402
-from mecp_env.policies.setting import Setting  # noqa: E402
+from mecp_env.core.errors import ConfigError
+from mecp_env.policies.registry import Policy, make_policy, policy_checksum
+from mecp_env.policies.rollout import EpisodeTask, options_of, run_episode
+from mecp_env.policies.setting import Setting
 
 EASY = Setting("easy", "validation", "slam", 15)
 
@@ -101,16 +99,13 @@ def test_a_drawn_action_follows_from_the_seed(tmp_path: Path) -> None:
     assert len(set(drawn[0])) > 1
 
 
-def test_a_script_needs_trust_its_json_and_the_right_outputs(tmp_path: Path) -> None:
+def test_a_script_needs_trust_and_its_json(tmp_path: Path) -> None:
     path = script(tmp_path, Flat(7), observation="flat", actions="discrete")
     with pytest.raises(ConfigError, match="use --trust"):
         make_policy(path)
-    with pytest.raises(ConfigError, match=r"returned 7 numbers .*, expected 5 numbers"):
-        make_policy(path, trust=True).act(np.zeros(104, np.float32))  # type: ignore[arg-type]
     before = policy_checksum(path)
     for text, message in (
         ('{"actions": "gaol"}', "did you mean 'goal'"),
-        ('{"actions": "goal", "observatoin": 1}', "did you mean 'observation'"),
         ("[1]", "expected an object"),
         ("{", "not JSON"),
     ):
@@ -131,7 +126,7 @@ def test_a_script_needs_trust_its_json_and_the_right_outputs(tmp_path: Path) -> 
     [
         (Poses(), {"observation": "flat", "actions": "velocity"}, r"cannot act on the observation \(104,\): .*Tensor"),
         (Value(2.7), {"observation": "flat", "actions": "discrete"}, r"returned 1 numbers \(\[2.7\]\), expected 5"),
-        (Value(9.0), {"observation": "flat", "actions": "discrete"}, r"returned 1 numbers \(\[9.\]\), expected 5"),
+        (Flat(7), {"observation": "flat", "actions": "discrete"}, r"returned 7 numbers .*, expected 5 numbers"),
     ],
 )
 def test_an_output_that_is_no_action_is_one_line(module: Any, fields: Any, message: str, tmp_path: Path) -> None:

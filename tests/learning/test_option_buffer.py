@@ -2,16 +2,13 @@
 
 import numpy as np
 import pytest
+import torch
+from stable_baselines3.common.callbacks import BaseCallback
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("sb3_contrib")
-
-from stable_baselines3.common.callbacks import BaseCallback  # noqa: E402
-
-from mecp_env.learning.encoder import make_model  # noqa: E402
-from mecp_env.learning.environments import make_many  # noqa: E402
-from mecp_env.learning.sb3_batch import OptionBuffer, OptionCallback, bootstrap_truncated  # noqa: E402
-from tests.learning.training import QUICK, quick  # noqa: E402
+from mecp_env.learning.encoder import make_model
+from mecp_env.learning.environments import make_many
+from mecp_env.learning.sb3_batch import OptionBuffer, OptionCallback, bootstrap_truncated
+from tests.learning.training import QUICK, quick
 
 
 class Discounts(BaseCallback):

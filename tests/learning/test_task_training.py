@@ -7,22 +7,17 @@ import numpy as np
 import pytest
 
 import mecp_env  # noqa: F401
-
-torch = pytest.importorskip("torch")
-pytest.importorskip("sb3_contrib")
-pytest.importorskip("safetensors")
-
-from mecp_env.core.errors import ConfigError  # noqa: E402
-from mecp_env.episode.tasks import TASKS  # noqa: E402
-from mecp_env.learning.config import TrainConfig  # noqa: E402
-from mecp_env.learning.encoder import make_network  # noqa: E402
-from mecp_env.learning.environments import make_env  # noqa: E402
-from mecp_env.learning.fits import downsampled_space  # noqa: E402
-from mecp_env.learning.learned import load  # noqa: E402
-from mecp_env.policies.active import Active, Returning, Stachniss  # noqa: E402
-from mecp_env.policies.registry import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT  # noqa: E402
-from mecp_env.policies.rollout import options_of  # noqa: E402
-from tests.learning.training import logits, quick, resume, run, shaken  # noqa: E402
+from mecp_env.core.errors import ConfigError
+from mecp_env.episode.tasks import TASKS
+from mecp_env.learning.config import TrainConfig
+from mecp_env.learning.encoder import make_network
+from mecp_env.learning.environments import make_env
+from mecp_env.learning.fits import downsampled_space
+from mecp_env.learning.learned import load
+from mecp_env.policies.active import Active, Returning, Stachniss
+from mecp_env.policies.registry import KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT
+from mecp_env.policies.rollout import options_of
+from tests.learning.training import logits, quick, resume, run, shaken
 
 TASK = "ActiveHalls-v0"
 SMALL = {"task": TASK, "env": {"max_steps": 60}, "buildings": {"spec": {"rooms": 3, "loops": 0}}}
@@ -116,17 +111,19 @@ def test_predictions_are_needed_by_a_prior_that_reads_them(prior, fields, why):
         TrainConfig.build({**fields, "network": {"prior": prior, "uncertainty": "task" not in fields}})
 
 
-@pytest.mark.parametrize("name", ["sigma", "trust", "pose_cov", "landmarks"])
-def test_uncertainty_reaches_the_network_unless_it_is_hidden(name, seen):
+@pytest.mark.parametrize(
+    ("part", "place", "factor"),
+    [
+        ("goals", np.s_[:, SIGMA], 3.0),
+        ("localisation", 0, 0.1),
+        ("pose_cov", ..., 9.0),
+        ("landmarks", np.s_[:, 2:5], 9.0),
+    ],
+    ids=["sigma of goals", "localisation", "covariance of the pose", "covariances of landmarks"],
+)
+def test_uncertainty_reaches_the_network_unless_it_is_hidden(part, place, factor, seen):
     changed = {key: values.copy() for key, values in seen[0].items()}
-    if name == "sigma":
-        changed["goals"][:, SIGMA] *= 3.0
-    elif name == "trust":
-        changed["localisation"][0] = 0.1
-    elif name == "pose_cov":
-        changed["pose_cov"] *= 9.0
-    else:
-        changed["landmarks"][:, 2:5] *= 9.0
+    changed[part][place] *= factor
     open_eyed, blind = (shaken(quick(**SMALL, network=THIN | {"uncertainty": shown})) for shown in (True, False))
     assert (logits(open_eyed, changed) - logits(open_eyed, seen[0])).abs().max() > 1e-5
     np.testing.assert_array_equal(logits(blind, changed), logits(blind, seen[0]))

@@ -2,28 +2,21 @@
 
 import errno
 import json
-import os
 import shutil
-import signal
 from functools import partial
 
 import gymnasium as gym
-import numpy as np
 import pytest
+import torch
+from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file
 
-torch = pytest.importorskip("torch")
-pytest.importorskip("sb3_contrib")
-pytest.importorskip("safetensors")
-
-from stable_baselines3.common.save_util import load_from_zip_file, save_to_zip_file  # noqa: E402
-
-from mecp_env.core.processes import cores  # noqa: E402
-from mecp_env.learning import train  # noqa: E402
-from mecp_env.learning.environments import vectorise  # noqa: E402
-from mecp_env.vector import WorkerDied  # noqa: E402
-from tests.cli.pipes import closed_pipe  # noqa: E402
-from tests.learning.test_learned import Payload  # noqa: E402
-from tests.learning.training import QUICK, flipped, made_in, resume, run, weights_in  # noqa: E402
+from mecp_env.core.processes import cores
+from mecp_env.learning import train
+from mecp_env.learning.environments import vectorise
+from mecp_env.vector import WorkerDied
+from tests.cli.pipes import closed_pipe
+from tests.learning.test_learned import Payload
+from tests.learning.training import QUICK, flipped, made_in, resume, run, weights_in
 
 
 @pytest.mark.parametrize(
@@ -49,18 +42,10 @@ def test_what_ends_a_run_is_one_line(place, error, code, said, tmp_path, capsys,
     assert place[1] != "learn" or f"mecp-env train --resume {folder}\n" in printed.out
 
 
-def test_the_processes_of_environments_and_one_that_dies():
-    """Seen: a step waited forever or ended in a bare EOFError, and so did `close`."""
-    makers = [partial(gym.make, "CartPole-v1")] * 2
-    learner = vectorise(makers, computing=True)  # this process steps none itself
+def test_a_process_that_computes_steps_no_environment_itself():
+    learner = vectorise([partial(gym.make, "CartPole-v1")] * 2, computing=True)
     assert len(learner.batch.pids) == min(2, cores())
     learner.close()
-    pair = vectorise(makers, "processes")
-    pair.reset()
-    os.kill(pair.batch.pids[1], signal.SIGKILL)
-    with pytest.raises(WorkerDied, match=r"environments 1 to 1\) was killed by SIGKILL"):
-        pair.step(np.array([0, 0]))
-    pair.close()
 
 
 def test_a_reader_that_goes_does_not_end_the_run(tmp_path):
@@ -91,7 +76,6 @@ CHANGES = {
     "weights of another shape": {"policy": {"log_std": torch.zeros(3)}},
     "code": {},
     "one bit": flipped,
-    "half of the file": lambda path: path.write_bytes(path.read_bytes()[: path.stat().st_size // 2]),
 }
 
 

@@ -115,6 +115,7 @@ def test_a_sound_laser_has_no_fault_and_its_scans_give_odometry(path: Path) -> N
     assert laser_fault(read_log(path)) is None
     log = read_log(path, ReadOptions(use_odometry=False))
     assert log.T_odom_robot is None
+    assert laser_fault(log) is None
     made = registered(log)
     blind = replace(
         log, t=np.array([5.0, 5.5, 7.0]), ranges=np.stack((log.ranges[9], log.ranges[12], 0.0 * log.ranges[0] + np.nan))

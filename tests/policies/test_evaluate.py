@@ -2,11 +2,6 @@
 
 import csv
 import json
-import os
-import signal
-import subprocess
-import sys
-import time
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -17,7 +12,6 @@ import pytest
 from PIL import Image
 
 from mecp_env.cli import main as cli
-from mecp_env.cli.evaluate import Evaluate
 from mecp_env.core.intervals import estimate
 from mecp_env.core.work_units import WHOLE, KeptResults, Shard
 from mecp_env.policies.evaluation import Evaluation, Row, compared, difference, rows_of
@@ -36,7 +30,6 @@ from mecp_env.policies.rollout import (
     metrics,
     run_episode,
 )
-from tests.processes import gone_within, needs_linux
 
 ROOT = Path(__file__).parents[2]
 EASY = Setting("easy", "validation", "slam", 60)
@@ -87,49 +80,6 @@ def test_an_episode_follows_from_its_task_and_begins_where_all_others_do(tmp_pat
     assert asdict(read.curve) == asdict(first.curve)
 
 
-def contents(out: Path) -> tuple[Any, bytes, bytes]:
-    """What the files of an evaluation say that every repetition gives."""
-    result = json.loads((out / "results.json").read_text())
-    repeated = {name: result[name] for name in result.keys() - {"timing", "date", "command"}}
-    return repeated, (out / "episodes.csv").read_bytes(), (out / "curves.png").read_bytes()
-
-
-@pytest.mark.slow
-def test_shards_and_processes_and_then_the_command_without_give_the_bytes_of_a_single_run(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(tmp_path, out="whole") == 0
-    for number in (1, 2):
-        assert evaluate(tmp_path, shard=f"{number}/2", jobs=number) == 0
-    assert [path.name for path in (tmp_path / "out").iterdir()] == ["episodes"]
-    assert f"2 episodes of shard 2/2 are in {tmp_path / 'out' / 'episodes'}" in capsys.readouterr().out
-    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
-    assert evaluate(tmp_path) == 0
-    assert contents(tmp_path / "out") == contents(tmp_path / "whole")
-
-
-@pytest.mark.slow
-@needs_linux
-def test_ctrl_c_while_processes_start_is_quiet_and_leaves_nothing(tmp_path: Path) -> None:
-    """As a terminal sends it: to the command and its processes, which import modules for a second."""
-    line = [sys.executable, "-m", "mecp_env", "evaluate", "nearest", "--out", str(tmp_path / "out"), "--jobs", "2"]
-    pipes: dict[str, Any] = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
-    process = subprocess.Popen(line, cwd=ROOT, start_new_session=True, preexec_fn=deaf_no_more, **pipes)
-    pids = list[int]()
-    while len(pids) < 3 and process.poll() is None:  # the resource tracker of multiprocessing, and two workers
-        time.sleep(0.02)
-        pids = [int(pid) for pid in Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()]
-    os.killpg(process.pid, signal.SIGINT)
-    out, err = process.communicate(timeout=60)
-    assert (process.returncode, out, err) == (130, "", "mecp-env: interrupted; the same command continues\n")
-    assert gone_within(pids, 5.0)
-
-
-def deaf_no_more() -> None:
-    """A test that runs in the background may have inherited that Ctrl-C is ignored."""
-    signal.signal(signal.SIGINT, signal.default_int_handler)
-
-
 def test_a_folder_is_continued_with_more_of_the_same_and_refused_for_another_setting(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -167,7 +117,7 @@ def test_tasks_go_building_by_building_and_a_policy_named_twice_runs_once() -> N
     assert sorted(map(str, parts[0] + parts[1])) == sorted(map(str, evaluation_of(episodes=5, shard=WHOLE).tasks()))
 
 
-def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_everything_is_written_and_says_the_same(tmp_path: Path) -> None:
     out, kept = tmp_path / "out", tmp_path / "kept"
     assert evaluate(tmp_path, "nearest random_goal --record", json=kept / "policies.json", episodes=2) == 0
     written = {"results.json", "page.md", "episodes.csv", "curves.png", "side_by_side.gif", "episodes"}
@@ -176,10 +126,6 @@ def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.
     names = [(policy, estimator) for estimator in ("slam", "truth") for policy in ("nearest", "random_goal")]
     assert [(row["policy"], row["estimator"]) for row in result["rows"]] == names
     assert (kept / "policies.md").read_text() == (out / "page.md").read_text()
-    said = capsys.readouterr().out.splitlines()
-    assert [line.split()[0] for line in said[3:7]] == ["nearest", "random_goal", "nearest,", "random_goal,"]
-    assert said[2].split("  ")[0] == "policy"
-    assert len(said) == 9
     with (out / "episodes.csv").open() as file:
         lines = list(csv.DictReader(file))
     assert len(lines) == 8
@@ -187,7 +133,6 @@ def test_everything_is_written_and_says_the_same(tmp_path: Path, capsys: pytest.
     mean = np.mean([float(line["auc"]) for line in lines if (line["policy"], line["estimator"]) == ("nearest", "slam")])
     assert result["rows"][0]["figures"]["auc"]["value"] == pytest.approx(mean)
     assert result["rows"][2]["figures"]["pose_error_mean_m"]["value"] < 1e-6  # the pose is known
-    assert (out / "side_by_side.gif").stat().st_size < 2e6
     with Image.open(out / "side_by_side.gif") as film:
         assert film.n_frames > 3
         assert film.size == (640, 290)
@@ -249,7 +194,19 @@ def raising(error: BaseException, building: int) -> Callable[[EpisodeTask], Epis
     return fragile
 
 
-def test_a_crash_names_policy_and_seed_and_the_same_command_runs_that_episode_again(
+def test_the_command_without_a_shard_takes_the_episodes_of_all_shards(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", raising(RuntimeError(), 9))
+    assert [evaluate(tmp_path, shard=shard) for shard in ("1/2", "2/2")] == [0, 0]
+    assert [path.name for path in (tmp_path / "out").iterdir()] == ["episodes"]
+    assert f"2 episodes of shard 2/2 are in {tmp_path / 'out' / 'episodes'}" in capsys.readouterr().out
+    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", None)  # all episodes are there already
+    assert evaluate(tmp_path) == 0
+    assert json.loads((tmp_path / "out" / "results.json").read_text())["buildings"] == 3
+
+
+def test_a_crash_names_policy_and_seed_and_the_others_finish(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", raising(RuntimeError("no way"), 1))
@@ -258,10 +215,6 @@ def test_a_crash_names_policy_and_seed_and_the_same_command_runs_that_episode_ag
     for words in ("policy random_goal", "building and seed 1", "RuntimeError: no way", "1 of 6 episodes"):
         assert words in said.err
     assert "2 buildings" in said.out  # of which all policies have an episode
-    assert "no way" in said.out
-    monkeypatch.setattr("mecp_env.policies.evaluation.run_episode", raising(RuntimeError("no way"), 9))
-    assert evaluate(tmp_path) == 0
-    assert "3 buildings" in capsys.readouterr().out
 
 
 def test_ctrl_c_keeps_what_is_finished(
@@ -343,14 +296,3 @@ def test_the_page_has_a_line_per_row_with_intervals() -> None:
     assert "| nearest | 0.500 [-] |" in text
     assert "| x, pose known | 0.600" in text
     assert "1 buildings: easy, split validation" in text
-
-
-def test_the_page_that_is_printed_holds_no_sign_that_a_terminal_would_obey(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    evaluation = evaluation_of("a\x1b[31mb")
-    evaluation.results = [toy("a\x1b[31mb", 0, 0.5)]
-    Evaluate(("a\x1b[31mb",), out=tmp_path / "out")._write(evaluation, "")
-    said = capsys.readouterr().out
-    assert "\na?[31mb  " in said
-    assert "\x1b" not in said

@@ -7,23 +7,10 @@ import pytest
 
 from mecp_env.core.errors import ConfigError
 from mecp_env.planning.goal_list import AHEAD_M
+from mecp_env.policies import registry
 from mecp_env.policies.active import InformationWeights, Pause, Returning, Stachniss, Triggers, sigma_now, sigma_there
 from mecp_env.policies.explorers import Gain, Nearest, RandomGoal, Weights, unseen_area, well_known
-from mecp_env.policies.registry import (
-    EXPLORERS,
-    GAIN,
-    KIND,
-    LOOK,
-    PATH,
-    PLACE,
-    SIGMA,
-    SIGMA_RAD,
-    VALID,
-    WAIT,
-    X,
-    Y,
-    make_policy,
-)  # fmt: skip
+from mecp_env.policies.registry import EXPLORERS, GAIN, KIND, LOOK, PATH, PLACE, SIGMA, SIGMA_RAD, VALID, WAIT, X, Y
 from tests.policies.scenes import OCCUPIED, UNKNOWN, goal, landmarks, observation, paint
 
 DOOR = 3
@@ -38,7 +25,7 @@ def bar(*rows: int) -> np.ndarray:
 
 @pytest.mark.parametrize("name", EXPLORERS)
 def test_every_explorer_chooses_among_the_goals_begins_anew_and_changes_nothing(name: str) -> None:
-    policy = make_policy(name)
+    policy = registry.make_policy(name)
     seen = observation(goal(1, 0, 4.0), goal(2, 0, 3.0), goal(3, 0, 5.0))
     before = {part: values.copy() for part, values in seen.items()}
     policy.reset(7)
@@ -158,52 +145,45 @@ def test_the_drawing_sigma_has_both_position_and_heading() -> None:
     assert sigma_there(rows) == pytest.approx([np.hypot(0.3, AHEAD_M * 0.1)])
 
 
-def test_returning_explores_while_the_pose_is_known_and_returns_when_it_is_not() -> None:
-    goals = (NEW, place(8.0, 0.02), place(4.0, 0.05), place(3.0, 0.45))
-    assert Returning().act(scene(*goals, sigma_m=0.1)) == 0
-    assert Returning(Triggers(metre=0.0)).act(scene(*goals)) == 1  # the best known
-    assert Returning(Triggers(metre=0.05)).act(scene(*goals)) == 2  # nearly as good, and nearer
+GOALS = (NEW, place(8.0, 0.02), place(4.0, 0.05), place(3.0, 0.45))
+EXACT = scene(NEW, place(3.0, 0.05))
+EXACT["pose_cov"][:] = 0.0
+AT_HOME = Stachniss(InformationWeights(pose_nat=1.0, metre_nat=0.4))
+CHOICES: dict[str, tuple[Any, dict[str, Any], int]] = {
+    "returning explores while the pose is known": (Returning(), scene(*GOALS, sigma_m=0.1), 0),
+    "returning takes the best known place": (Returning(Triggers(metre=0.0)), scene(*GOALS), 1),
+    "returning takes one nearly as good and nearer": (Returning(Triggers(metre=0.05)), scene(*GOALS), 2),
+    "returning does not go where little is gained": (Returning(), scene(NEW, place(3.0, 0.45)), 0),
+    "returning does not go where the map is uncertain too": (Returning(), scene(NEW, place(3.0, 0.3), sigma_m=0.45), 0),
+    "returning goes where the map is clearly better": (Returning(), scene(NEW, place(3.0, 0.3), sigma_m=0.55), 1),
+    "returning explores with a pose known exactly": (Returning(), EXACT, 0),
+    "pause drives where much is recognised": (Pause(), scene(NEW, WAITING, recognised=1.0), 0),
+    "pause drives with a pose known well": (Pause(), scene(NEW, WAITING, recognised=0.1, sigma_m=0.01), 0),
+    "pause drives where waiting is not offered": (Pause(), scene(NEW, recognised=0.1), 0),
+    "stachniss explores": (Stachniss(), scene(NEW | {SIGMA: 0.1}, place(4.0, 0.09), sigma_m=0.1), 0),
+    "stachniss returns": (AT_HOME, scene(NEW | {SIGMA: 0.9}, place(4.0, 0.05), sigma_m=0.8), 1),
+    "stachniss passes a nearer goal without new floor": (
+        Stachniss(), scene(NEW | {SIGMA: 0.1}, NEAR | {SIGMA: 0.1}, sigma_m=0.1), 0,
+    ),
+}  # fmt: skip
 
 
-def test_returning_goes_nowhere_for_nothing_and_not_for_ever() -> None:
-    assert Returning().act(scene(NEW, place(3.0, 0.45))) == 0
-    policy, seen = Returning(Triggers(most_returns=2, between=3)), scene(NEW, place(3.0, 0.05))
+@pytest.mark.parametrize("name", CHOICES)
+def test_uncertainty_decides_between_new_floor_and_known_ground(name: str) -> None:
+    policy, seen, row = CHOICES[name]
+    assert policy.act(seen) == row
+
+
+def test_returning_goes_on_only_when_the_pose_is_clearly_better_and_not_for_ever() -> None:
+    policy, goals = Returning(Triggers(lost_m=0.2, share=0.6)), (NEW, place(3.0, 0.05))
+    assert [policy.act(scene(*goals, sigma_m=sigma_m)) for sigma_m in (0.2, 0.3, 0.2, 0.1)] == [0, 1, 1, 0]
+    policy, seen = Returning(Triggers(most_returns=2, between=3)), scene(*goals)
     assert [policy.act(seen) for _ in range(7)] == [1, 1, 0, 0, 0, 1, 1]
 
 
-def test_returning_goes_on_only_when_the_pose_is_clearly_better() -> None:
-    policy, goals = Returning(Triggers(lost_m=0.2, share=0.6)), (NEW, place(3.0, 0.05))
-    assert policy.act(scene(*goals, sigma_m=0.2)) == 0
-    assert policy.act(scene(*goals, sigma_m=0.3)) == 1
-    assert policy.act(scene(*goals, sigma_m=0.2)) == 1
-    assert policy.act(scene(*goals, sigma_m=0.1)) == 0
-
-
-def test_returning_does_not_return_for_what_is_uncertain_there_too_or_known_exactly() -> None:
-    """A map whose place is known to 0.3 m only, as wheels slipped at its start."""
-    assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.45)) == 0
-    assert Returning().act(scene(NEW, place(3.0, 0.3), sigma_m=0.55)) == 1
-    seen = scene(NEW, place(3.0, 0.05))
-    seen["pose_cov"][:] = 0.0
-    assert Returning().act(seen) == 0
-
-
 def test_pause_waits_a_few_times_where_little_is_recognised() -> None:
-    policy = Pause(most_waits=2)
-    assert policy.act(scene(NEW, WAITING, recognised=1.0)) == 0
-    poor = scene(NEW, WAITING, recognised=0.1)
+    policy, poor = Pause(most_waits=2), scene(NEW, WAITING, recognised=0.1)
     assert [policy.act(poor) for _ in range(4)] == [1, 1, 0, 1]
-    assert Pause().act(scene(NEW, WAITING, recognised=0.1, sigma_m=0.01)) == 0
-    assert Pause().act(scene(NEW, recognised=0.1)) == 0
-
-
-def test_stachniss_weighs_new_floor_against_the_pose() -> None:
-    new = NEW | {SIGMA: 0.1}
-    assert Stachniss().act(scene(new, place(4.0, 0.09), sigma_m=0.1)) == 0
-    lost = NEW | {SIGMA: 0.9}
-    at_home = Stachniss(InformationWeights(pose_nat=1.0, metre_nat=0.4))
-    assert at_home.act(scene(lost, place(4.0, 0.05), sigma_m=0.8)) == 1
-    assert Stachniss().act(scene(new, NEAR | {SIGMA: 0.1}, sigma_m=0.1)) == 0  # no new floor there, though nearer
 
 
 def test_a_longer_way_is_worth_less_and_information_more() -> None:

@@ -1,6 +1,5 @@
 """Policies by name."""
 
-import re
 import sys
 import types
 from pathlib import Path
@@ -26,10 +25,7 @@ def test_a_trained_policy_without_pytorch_names_the_extra(monkeypatch: pytest.Mo
         make_policy("ppo")
 
 
-def test_explorers_load_and_name_nothing_of_learning() -> None:
-    """What loads a trained policy is named at the root, beside the entry points of the environments."""
-    sources = (Path(__file__).parents[2] / "mecp_env" / "policies").glob("*.py")
-    assert not [path.name for path in sources if re.search(r"mecp_env\.(learning|cli)\b", path.read_text())]
+def test_explorers_load_nothing_of_learning() -> None:
     code = (
         "import sys; from mecp_env.policies.registry import *; [make_policy(n) for n in EXPLORERS]; print(*sys.modules)"
     )
@@ -69,7 +65,6 @@ class Leaves(Nearest):
         (f"{__file__}", r"test_registry\.py:MyPolicy"),
         ("", "expected one of"),
         ("nearst", r"expected one of bfs, nearest, .*maskable_ppo.*did you mean 'nearest'\?"),
-        ("maskable_pp", r"did you mean 'maskable_ppo'\?"),
         ("qqqqqq", r"expected one of (?!.*did you mean)"),
     ],
 )
@@ -120,9 +115,7 @@ class Wrong(Nearest):
     [
         (5, "5, expected a dict"),
         ({"observatoin": "flat"}, "observatoin: no such field; did you mean 'observation'"),
-        ({"difficulty": "easy"}, "difficulty: no such field"),
         ({"id": "mecp_env/First-v0"}, "id: no such field"),
-        ({"config": {"laser": {"max_range_m": 30.0}}}, "config: no such field"),
         ({"max_steps": 5, "estimator": "truth"}, "of estimator, max_steps, which the evaluation selects"),
         ({"reward": {"preset": "coverage", "area": 3.0}}, "area: 3 contradicts the preset 'coverage'"),
         ({"actions": "velocity"}, "of actions 'velocity', but its `actions` are 'goal'"),

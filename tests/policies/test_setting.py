@@ -1,7 +1,6 @@
 """`mecp-env evaluate` in real floor plans, in one building, and in a changed environment."""
 
 import json
-import re
 import shutil
 from pathlib import Path
 from types import MappingProxyType
@@ -75,25 +74,19 @@ def test_the_result_names_plans_and_changes(plans: Path, tmp_path: Path, capsys:
     assert {name: result["setting"][name] for name in ("difficulty", "split")} == {"difficulty": "", "split": ""}
 
 
-@pytest.mark.slow
-def test_episodes_of_another_setting_are_never_mixed_in(
-    plans: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert evaluate(tmp_path, "--plans", plans) == 0
-    for words, said in (
-        (("--env.laser.max_range_m", "4"), "this one has env {'laser': {'max_range_m': 4.0}}"),
-        (("--env.crowd.people", "1"), "this one has env {'crowd': {'people': 1}}"),
-        (("--no-straighten",), "this one has layout {'straighten': False}"),
-        (("--task", "ActiveHalls-v0"), "this one has task 'ActiveHalls-v0'"),
-    ):
-        assert evaluate(tmp_path, "--plans", plans, *words) == 2
-        assert said in capsys.readouterr().err
-    moved = shutil.move(plans, tmp_path / "moved")
-    assert evaluate(tmp_path, "--plans", moved) == 0  # the same files elsewhere
-    with (moved / "paper.json").open("a") as file:
+def test_episodes_of_another_setting_are_never_mixed_in(plans: Path, tmp_path: Path) -> None:
+    def key(reading: dict[str, Any] | None = None, **changes: Any) -> dict[str, Any]:
+        return Setting(**plan_fields(plans, reading or {}), **changes).run_key()
+
+    first, laser, crowd = key(), {"laser": {"max_range_m": 4.0}}, {"crowd": {"people": 1}}
+    others = [key(env=laser), key(env=crowd), key({"straighten": False}), key(task="ActiveHalls-v0"), key(max_steps=12)]
+    assert all(found not in [*others[:k], first] for k, found in enumerate(others))
+    assert key(estimator="truth") == first
+    plans = plans.rename(tmp_path / "moved")  # the same files elsewhere
+    assert key() == first
+    with (plans / "paper.json").open("a") as file:
         file.write("\n")
-    assert evaluate(tmp_path, "--plans", moved) == 2
-    assert "has results of another run: content" in capsys.readouterr().err
+    assert key() != first
 
 
 def test_one_building_by_name_or_file(tmp_path: Path) -> None:
@@ -159,60 +152,6 @@ def test_an_unreadable_plan_fails_by_name_and_the_others_go_on(
     evaluation = Evaluation(("nearest",), Setting(**plan_fields(plans, {})), 1)
     with pytest.raises(ValueError, match=r"office\.json"):
         evaluation.unrepeatable([Nearest()])
-
-
-@pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        ("nearst", "nearst.*did you mean 'nearest'"),
-        ("nowhere:Policy", "'nowhere:Policy' cannot be constructed: No module named 'nowhere'"),
-        ("random:Policy", "random:Policy' cannot be constructed: .*'Policy'"),
-        ("random:Random", "'random:Random' has no 'actions'"),
-        ("--no-policy", "policies: expected at least one of bfs"),
-        ("--split tests", "train, validation, test; did you mean 'test'"),
-        ("--difficulty medum", "medium"),
-        ("--estimator slm", "--estimator slm; did you mean 'slam'?"),
-        ("--episodes 5000", "episodes: 5000, each in a building of 'test'; building: 4999, there are 1000"),
-        ("--reference gian", "one of nearest, bfs, .*random_walk, standing; did you mean 'gain'"),
-        ("--max-steps 0", r"--max-steps: .*greater than or equal to 1 \(given: 0\)"),
-        ("--json .", "is a folder, not a file"),
-        ("--json HERE/a.json", "test_setting.py is a file, not a folder"),
-        ("--out HERE/out", "--out: .*/test_setting.py is a file, not a folder"),
-        ("--json page.md", "json: page.md: expected"),
-        ("--shard 3/2", "shard: '3/2', expected NUMBER/COUNT such as 1/4"),
-        ("--plans nowhere", "plans: nowhere: no such file or folder"),
-        ("--plans .", r"plan: \., no file in it ends in"),
-        ("--layout offic", "layout: 'offic', expected a file, or one of .*; did you mean 'office'"),
-        ("--layout hard:7", "--difficulty selects generated buildings"),
-        ("--layout office --difficulty easy", "--difficulty easy: --layout office fixes it; leave out one"),
-        ("--plans x --layout office", "--layout office: --plans x fixes it"),
-        ("--plans x --split=test", "--split test: --plans x fixes it"),
-        ("--suite active-v1 --plans x", "--plans x: --suite active-v1 fixes it"),
-        ("--suite active-v1 --env.laser.beams 90", "--env: --suite active-v1 fixes it"),
-        ("--suite active-v1 --max-steps 3", "--max-steps 3: --suite active-v1 fixes it"),
-        ("--task ActiveHalls-v0 --difficulty hard", "--difficulty hard: --task ActiveHalls-v0 fixes it"),
-        ("--layout office --task ActiveHall-v0", "task: 'ActiveHall-v0'.*did you mean 'ActiveHalls-v0'"),
-        ("--resolution-m 0.05", "--resolution-m: has a meaning with --plans or --layout only; name one"),
-        ("--layout office --start-x 1", "Unrecognized options: --start-x"),
-        ("--env.laser.max_rang_m 4", "Perhaps you meant"),
-        ("--env.estimator truth", "Unrecognized options: --env.estimator"),
-        ("--env.slam.grid.resolution_m 0.9", "slam.grid.resolution_m: 0.9 m, at most 0.44 m"),
-    ],
-)
-def test_wrong_input_is_refused_before_anything_is_written(
-    words: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    monkeypatch.chdir(tmp_path)
-    policy = "nearest " if words.startswith("--") and words != "--no-policy" else ""
-    line = f"evaluate {policy}{words.removeprefix('--no-policy')} {'' if '--out' in words else '--out out'}"
-    try:
-        code = cli.main(line.replace("HERE", __file__).split())
-    except SystemExit as end:  # of the parser
-        code = int(str(end.code))
-    assert code == 2
-    message = " ".join(capsys.readouterr().err.split())
-    assert re.search(said, message), message
-    assert not list(tmp_path.iterdir())
 
 
 class MapReader(FlatDriver):
