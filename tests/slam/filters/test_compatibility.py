@@ -23,14 +23,14 @@ def test_individual_nis_is_that_of_each_pair(pair):
 
 
 def test_linear_joint_nis_is_the_innovation_squared(pair):
-    z, R, slots = pair.scan(4)
-    nu, S = pair.filter.innovation(z, R, pair.ids[slots])
-    assert pair.filter.joint_nis(z, R, pair.ids[slots]) == pytest.approx(nu @ np.linalg.solve(S, nu), rel=1e-10)
+    z, R, ids = pair.scan(4)
+    nu, S = pair.filter.innovation(z, R, ids)
+    assert pair.filter.joint_nis(z, R, ids) == pytest.approx(nu @ np.linalg.solve(S, nu), rel=1e-10)
 
 
 def test_bayes_factor_is_that_of_a_loosened_copy(pair):
-    z, R, slots = pair.scan(4)
-    ids, slack = pair.ids[slots], np.array([[0.3, 0.1, 0.0], [0.1, 0.2, 0.05], [0.0, 0.05, 0.1]])
+    z, R, ids = pair.scan(4)
+    slack = np.array([[0.3, 0.1, 0.0], [0.1, 0.2, 0.05], [0.0, 0.05, 0.1]])
     loose = pair.filter.copy()
     loose.loosen(slack)
     costs = [some.joint_nis(z, R, ids) for some in (pair.filter, loose)]
@@ -63,7 +63,7 @@ def test_iterated_joint_nis_of_the_invariant_error(heading_error):
     z = z + pair.rng.normal(size=z.shape) * [0.02, 0.005]
     nis = iterated(pair, z, R, 20)
     pair.twin.x, pair.twin.P = pair.mean.copy(), pair.cov.copy()
-    assert nis == pytest.approx(pair.twin.update(z, R, np.arange(5), steps=20), rel=0.02)
+    assert nis == pytest.approx(pair.twin.update(z, R, pair.ids, iterate=True), rel=0.02)
     pair.filter.cov[0, 0] += 0.1
     assert iterated(pair, z, R, 20) == pytest.approx(nis, rel=1e-6)
 
@@ -116,7 +116,7 @@ def test_mean_of_gaussians(kind, paper_S):
     R = random_cov(pair.rng, np.tile([0.05, 0.01], 4))
     noisy = z + pair.rng.multivariate_normal(np.zeros(8), R).reshape(4, 2)
     nis = pair.filter.mean_of_gaussians_nis(noisy, R, pair.ids[slots], paper_S)
-    tolerance = 1e-9 if paper_S or kind == "ekf" else 0.02  # the others leave out J nu, zero for the true pair
+    tolerance = 1e-9 if paper_S or kind == "ekf" else 0.03  # the others leave out J nu, zero for the true pair
     assert nis == pytest.approx(centre_twin(pair, noisy, R, slots, paper_S), rel=tolerance)
     shifted = pair.filter.mean_of_gaussians_nis(np.roll(noisy, 1, axis=0), np.eye(8) * 1e-4, pair.ids[slots])
     unshifted = pair.filter.mean_of_gaussians_nis(noisy, np.eye(8) * 1e-4, pair.ids[slots])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.filters.models import linearise, retract
+from tests.slam import make
 from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import exp_map, expected, wrap
 
@@ -20,11 +21,6 @@ def retracted(x: np.ndarray, xi: np.ndarray, invariant: bool) -> np.ndarray:
     moved = x.copy()
     retract(moved, len(x), xi, invariant)
     return moved
-
-
-def central_difference(function, at: np.ndarray, step: float = 1e-6) -> np.ndarray:
-    columns = [wrap(function(at + e) - function(at - e)) / (2 * step) for e in step * np.eye(len(at))]
-    return np.stack(columns, axis=-1)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 1e-3, 0.0099, 0.0101, 0.5, -3.0])
@@ -48,7 +44,7 @@ def test_measurement_jacobian(invariant):
         H[:, :, 0], H[:, :, 1:3] = a_heading, -A
         for k, slot in enumerate(SLOTS):
             H[k, :, 3 + 2 * slot : 5 + 2 * slot] = A[k]
-        numeric = central_difference(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
+        numeric = make.slopes(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
         np.testing.assert_allclose(wrap(h - expected(x, SLOTS)), 0.0, atol=1e-12)
         np.testing.assert_allclose(H, numeric, atol=1e-7, rtol=1e-5)
 

@@ -60,7 +60,7 @@ def test_iterated_update_is_that_of_the_twin(kind, heading_error):
     pair.twin.x, pair.twin.P = pair.mean.copy(), pair.cov.copy()
     pair.filter.update_iterations = 20
     pair.filter.update(z, R, pair.ids, iterate=True)
-    pair.twin.update(z, R, np.arange(5), steps=20)
+    pair.twin.update(z, R, pair.ids, iterate=True)
     np.testing.assert_allclose(wrap(pair.mean - pair.twin.x), 0.0, atol=2e-6)
     np.testing.assert_allclose(pair.cov, pair.twin.P, atol=2e-6)
 
@@ -81,24 +81,24 @@ def test_iterating_never_turns_or_moves_the_map_as_a_whole():
 
 def test_non_positive_covariance_is_refused_and_nothing_changed(pair):
     before = copy.deepcopy(pair.filter)
-    z, R, slots = pair.scan(3)
+    z, R, ids = pair.scan(3)
     for bad in (-10.0 * np.eye(6), np.full((6, 6), np.nan)):
         with pytest.raises(FilterError, match="not positive"):
-            pair.filter.update(z, bad, pair.ids[slots])
+            pair.filter.update(z, bad, ids)
     with pytest.raises(FilterError, match="finite"):
-        pair.filter.update(np.full((3, 2), np.nan), R, pair.ids[slots])
+        pair.filter.update(np.full((3, 2), np.nan), R, ids)
     np.testing.assert_array_equal(pair.filter.mean, before.mean)
     np.testing.assert_array_equal(pair.filter.cov, before.cov)
 
 
 def test_wrong_input_is_named(pair):
-    z, R, slots = pair.scan(3)
+    z, R, ids = pair.scan(3)
     with pytest.raises(FilterError, match=r"\[7\]"):
         pair.filter.update(z[:1], R[:2, :2], np.array([7]))
     with pytest.raises(FilterError, match=r"expected \(3, 2\)"):
-        pair.filter.update(z, R[:4, :4], pair.ids[slots])
+        pair.filter.update(z, R[:4, :4], ids)
     with pytest.raises(FilterError, match="new"):
-        pair.filter.augment(z, R, pair.ids[slots])
+        pair.filter.augment(z, R, ids)
     with pytest.raises(FilterError, match="itself"):
         pair.filter.fuse(pair.ids[0], pair.ids[0])
 

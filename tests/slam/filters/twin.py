@@ -1,5 +1,7 @@
 """Dense NumPy reference filters, written from the equations: full F, G, H, Joseph form. Slow and simple."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import expm
@@ -38,14 +40,14 @@ def exp_map(x: Array, xi: Array) -> Array:
 
 
 class Twin:
-    """State x and covariance P of `kind`, order heading, p, l_1, ..."""
+    """State x and covariance P of a filter, order heading, p, l_1, ..."""
 
-    def __init__(self, kind: str, config: FilterConfig) -> None:
-        self.invariant = kind == "riekf"
+    def __init__(self, config: FilterConfig) -> None:
+        self.invariant, self.ids = config.kind == "riekf", list[int]()
         self.slip = np.diag([config.bumper_lateral_sigma_m**2, np.radians(config.bumper_heading_sigma_deg) ** 2])
         self.x = np.zeros(3)
         self.P = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
-        self.keeps_first, self.first = kind == "fej", self.x  # where Jacobians are taken
+        self.keeps_first, self.first = config.kind == "fej", self.x  # where Jacobians are taken
 
     def at(self) -> Array:
         """The state at which Jacobians are taken."""
@@ -106,8 +108,9 @@ class Twin:
         nu[:, 1] = wrap(nu[:, 1])
         return nu.ravel(), H @ self.P @ H.T + R
 
-    def update(self, z: Array, R: Array, slots: Array, steps: int = 1) -> float:
+    def update(self, z: Array, R: Array, ids: Any, iterate: bool = False) -> float:
         """Gauss-Newton with the filter's Jacobian at each state; returns the cost."""
+        slots, steps = np.array([self.ids.index(i) for i in ids]), 20 if iterate else 1
         xi, prior = np.zeros(len(self.x)), self.x
         for _ in range(steps):
             nu, S = self.innovation(z, R, slots)
@@ -120,8 +123,9 @@ class Twin:
         self.P = left @ self.P @ left.T + K @ R @ K.T  # Joseph form
         return float(nu @ np.linalg.solve(S, nu))
 
-    def augment(self, z: Array, R: Array) -> None:
+    def augment(self, z: Array, R: Array, ids: Any) -> None:
         n, m = len(self.x), len(z)
+        self.ids += ids.tolist()
         if self.keeps_first:
             F = self.move_pose(self.x)
             self.P = F @ self.P @ F.T
