@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
-from tests.slam.mecp.plain import convex_rings, twice_area
-from tests.slam.mecp.test_polygons import is_empty_around
+from tests.slam.mecp.plain import convex_rings, is_empty_around, twice_area
 
 ROBOT = np.zeros(2)
 
