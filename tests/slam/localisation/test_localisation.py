@@ -113,25 +113,39 @@ def test_one_scan_is_located_anywhere_in_the_map(mapped):
     assert hits >= 0.8 * (len(drive.scans) // 10)
 
 
-def test_a_pose_wins_only_where_no_other_explains_as_much():
-    clear, few, far = make.hypothesis([1, 2, 3, 4, 5, 6]), [11, 12, 13], (5.0, 0.0, 0.0)
-    assert clear_winner([clear], CONFIG) is clear
-    assert clear_winner([clear, make.hypothesis([*few, 14, 15], far, share=0.9)], CONFIG) is None  # one corner fewer
-    assert clear_winner([clear, make.hypothesis(few, far, share=0.9)], CONFIG) is clear
-    surer = clear._replace(share=0.9)
-    assert clear_winner([surer, make.hypothesis(few, far, explained=0.7)], CONFIG) is None  # its beams agree better
-    contradicted = make.hypothesis(few, far, share=0.5, explained=0.7)  # by the map
-    assert clear_winner([surer, contradicted], CONFIG) is surer
-    assert clear_winner([make.hypothesis(few, explained=1.0)], CONFIG) is None  # too few corners
-    assert clear_winner([clear._replace(explained=0.5)], CONFIG) is None
-    assert clear_winner([], CONFIG) is None
+SIX, THREE, FAR = [1, 2, 3, 4, 5, 6], [11, 12, 13], (5.0, 0.0, 0.0)
+CLEAR, FEW = make.hypothesis(SIX), make.hypothesis(THREE, FAR, share=0.9)
+SURER, RIVAL = CLEAR._replace(share=0.9), make.hypothesis(THREE, FAR, explained=0.7)
+TWIN = make.hypothesis(SIX[::-1], (5.0, 0.0, 3.1), recognised=0.6)  # of as many corners
+NEAR = make.hypothesis(THREE, (0.5, 0.0, 0.0), near=True)
+FOUR = make.hypothesis([1, 2, 3, 4], (7.6, 0.0, 0.0), explained=0.74)
+WINNERS = {  # poses that a search finds, and which of them wins
+    "nothing": ([], None),
+    "one": ([CLEAR], 0),
+    "one of too few corners": ([make.hypothesis(THREE, explained=1.0)], None),
+    "one that explains too few beams": ([CLEAR._replace(explained=0.5)], None),
+    "another of one corner fewer": ([CLEAR, make.hypothesis([*THREE, 14, 15], FAR, share=0.9)], None),
+    "another of few corners": ([CLEAR, FEW], 0),
+    "another whose beams agree better": ([SURER, RIVAL], None),
+    "another that the map contradicts": ([SURER, RIVAL._replace(share=0.5)], 0),
+    "a twin that the corners fit worse": ([CLEAR, TWIN], 0),
+    "a twin that they fit as well": ([CLEAR, TWIN._replace(recognised=0.7)], None),
+    "a twin that more beams fit": ([SURER, TWIN], None),
+    "a near one": ([CLEAR, NEAR], 1),
+    "a near one in equal bays": ([CLEAR, NEAR._replace(explained=0.87)], 1),
+    "a near one that explains less": ([CLEAR, NEAR._replace(explained=0.85)], 0),
+    "a near one in a room of nearly the same size": ([CLEAR, NEAR._replace(at=replace(NEAR.at, off=2.0))], 0),
+    "a far one that the corners fit": ([FOUR], 0),
+    # another room of about the same size explains the walls: 4 of 10 corners were enough after a slip
+    "a far one that they do not fit": ([FOUR._replace(recognised=0.4)], None),
+    "a near one that they do not fit": ([FOUR._replace(recognised=0.4, near=True)], 0),
+}
 
 
-def test_of_two_poses_with_as_many_corners_the_one_that_they_fit_wins():
-    right, twin = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([6, 5, 4, 3, 2, 1], (5.0, 0.0, 3.1))
-    assert clear_winner([right, twin._replace(recognised=0.6)], CONFIG) is right
-    assert clear_winner([right, twin._replace(recognised=0.7)], CONFIG) is None
-    assert clear_winner([right._replace(share=0.9), twin._replace(recognised=0.6)], CONFIG) is None  # more beams agree
+@pytest.mark.parametrize("name", WINNERS)
+def test_a_pose_wins_only_where_no_other_explains_as_much(name: str):
+    poses, winner = WINNERS[name]
+    assert clear_winner(poses, CONFIG) is (None if winner is None else poses[winner])
 
 
 @pytest.mark.parametrize(("differs_m", "found"), [(0.0, False), (0.005, False), (0.1, True)])
@@ -167,25 +181,6 @@ def test_what_a_pose_leaves_unexplained_is_counted_in_corners():
         nu = np.array([x, y]) + turn @ (r * np.array([math.cos(b), math.sin(b)])) - p_map[row]
         misfit += min(nu @ np.linalg.inv(S) @ nu / PAIRING.rival_gap, 1.0)
     assert (at.misfit, at.off) == pytest.approx((misfit, misfit - 1.0))
-
-
-def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_one():
-    far, near = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([11, 12, 13], (0.5, 0.0, 0.0), near=True)
-    assert clear_winner([far, near], CONFIG) is near
-    nearly = near._replace(explained=0.87)  # in equal bays one explains a few beams more
-    assert clear_winner([far, nearly], CONFIG) is nearly
-    assert clear_winner([far, near._replace(explained=0.85)], CONFIG) is far
-    beside = near._replace(at=replace(near.at, off=2.0))  # in a room of nearly the same size
-    assert clear_winner([far, beside], CONFIG) is far
-
-
-def test_a_far_pose_needs_the_corners_of_the_scan_too():
-    """Another room of about the same size explains the walls: 4 of 10 corners were enough after a slip."""
-    far = make.hypothesis([1, 2, 3, 4], (7.6, 0.0, 0.0), explained=0.74)
-    assert clear_winner([far], CONFIG) is far
-    assert clear_winner([far._replace(recognised=0.4)], CONFIG) is None
-    near = far._replace(recognised=0.4, near=True)
-    assert clear_winner([near], CONFIG) is near
 
 
 def test_beams_and_corners_speak_for_a_pose():
