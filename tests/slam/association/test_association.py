@@ -12,7 +12,6 @@ from mecp_env.slam.association.gating import (
     greedy_joint_compatibility,
     mask_by_descriptor,
     mask_by_room,
-    one_to_one,
 )
 from mecp_env.slam.association.mecp import MecpAssociator, PolygonMatcher, accept, polygon_hypotheses
 from mecp_env.slam.config import AssociationConfig, FilterConfig
@@ -27,26 +26,6 @@ NONE = np.empty(0, np.int64)
 def features_of(n, **columns):
     """(n,) features with these columns, otherwise zero."""
     return make.features(n, **columns).rows
-
-
-def common_error_case(rng, wrong):
-    """Four pairings that share a large common error; `wrong` of them have an individual error as well."""
-    count = 4
-    common = rng.normal(0.0, 1.0, 2)
-    nu = np.tile(common, count) + rng.normal(0.0, 0.01, 2 * count)
-    for p in wrong:
-        nu[2 * p : 2 * p + 2] += (0.5, -0.5)
-    S = np.kron(np.ones((count, count)), np.eye(2)) + 1e-4 * np.eye(2 * count)
-    return nu, S
-
-
-def test_common_error_is_taken_out_and_the_odd_one_left():
-    rng = np.random.default_rng(0)
-    nu, S = common_error_case(rng, wrong=(2,))
-    corner = landmark = np.arange(4)
-    nis, ambiguous = greedy_joint_compatibility(nu, S, corner, landmark, NONE, 13.8, 6.0)
-    assert np.isnan(nis).tolist() == [False, False, True, False]
-    assert not ambiguous.any()
 
 
 def test_accepted_nis_add_up_to_the_joint_nis():
@@ -75,11 +54,6 @@ def test_no_corner_and_no_landmark_is_used_twice():
     nis, _ = greedy_joint_compatibility(rng.normal(size=40), S, corner, landmark, NONE, 13.8, 0.0)
     kept = ~np.isnan(nis)
     assert len(set(corner[kept])) == kept.sum() == len(set(landmark[kept]))
-
-
-def test_one_to_one_takes_the_smallest_first():
-    cost = np.array([[1.0, 2.0], [0.5, 9.0], [20.0, 20.0]])
-    assert one_to_one(cost, 13.8).tolist() == [1, 0, -1]
 
 
 def compatible(heading, convex, seen, features, tolerance):

@@ -247,13 +247,6 @@ def test_a_rough_pose_is_found_by_the_distances(seed: int) -> None:
     assert len(paired) >= 6
 
 
-@pytest.mark.parametrize("turn", [0.9, -0.9])
-def test_faces_may_be_turned_by_what_the_heading_may_be_wrong(turn: float) -> None:
-    scene = moved(Scene(np.random.default_rng(1), p_robot=SHAPE, spurious=0), (0.5, -0.5, turn), (1.0, 1.0, 0.5))
-    match = scene.associated(method="mecp")
-    assert match.ids.tolist() == scene.true.tolist()
-
-
 def test_of_two_equal_places_none_is_chosen() -> None:
     scene = Scene(np.random.default_rng(2), p_robot=np.concatenate([SHAPE, SHAPE + APART]), spurious=0)
     near = np.isin(scene.true, range(5))
