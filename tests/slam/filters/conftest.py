@@ -90,6 +90,19 @@ class Life:
     def pin(self) -> None:
         self.each("set_pose", self.filters[0].belief().T_map_robot + self.rng.normal(size=3) * 0.01)
 
+    def place(self) -> None:
+        self.each("set_pose", self.rng.normal(size=3), random_cov(self.rng, [0.3, 0.2, 0.1]))
+
+    def loosen(self) -> None:
+        self.each("loosen", random_cov(self.rng, [0.1, 0.2, 0.05]))
+
+    def shift(self) -> None:
+        self.each("shift_pose", self.rng.normal(size=3) * 0.03)
+
+    def copied(self) -> None:
+        """Copies go on in place of the filters."""
+        self.filters = tuple(self.each("copy"))
+
 
 class Pair(Life):
     """A filter and its reference implementation with the same inputs."""
