@@ -9,7 +9,7 @@ from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from tests.slam import make
-from tests.slam.filters.twin import Twin
+from tests.slam.filters.twin import J, Twin, expected, rotation
 
 
 @pytest.fixture(params=["riekf", "ekf", "fej"])
@@ -136,3 +136,16 @@ class Pair(Life):
 @pytest.fixture
 def pair(kind: str) -> Pair:
     return Pair(kind, seed=5)
+
+
+def lost(kind: str, heading_error: float, seed: int = 0) -> tuple[Pair, Any, Any]:
+    """A robot that turned wrongly six metres ago (its covariance knows), z and R of what it now sees of 5 landmarks."""
+    pair = Pair(kind, seed, landmarks=5)
+    true, swing = pair.twin.x.copy(), np.zeros(13)
+    from_pivot = np.array([6.0, 0.0])
+    true[0] += heading_error
+    true[1:3] += rotation(heading_error) @ from_pivot - from_pivot
+    swing[:2], swing[2] = J @ from_pivot, 1.0  # of x, y and heading, per radian
+    pair.twin.set_world_cov(pair.twin.world_cov() + 0.3**2 * np.outer(swing, swing))
+    pair.cov[:] = pair.twin.P
+    return pair, expected(true, np.arange(5)), np.diag(np.tile([0.02**2, 0.005**2], 5))

@@ -9,7 +9,7 @@ from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import exp_map, expected, wrap
 
 SLOTS = np.array([0, 3, 2])
-STEPS = "predict slip update update augment augment merge remove pin place loosen shift".split()
+STEPS = ("predict", "slip", "update", "augment", "merge", "remove", "pin", "place", "loosen", "shift")
 
 
 def random_state(rng: np.random.Generator, landmarks: int = 4) -> np.ndarray:
