@@ -229,6 +229,13 @@ def test_a_pocket_that_a_scan_was_taken_in_is_no_wall(tour: Toy) -> None:
         assert labels_at(canvas.publish(toy.painter.config.occupied_ratio), pillar) == [label]
 
 
+@pytest.mark.parametrize(("reach", "through"), [(4.0, True), (1.5, False)])
+def test_an_edge_of_free_space_may_pass_behind_a_door_where_no_point_of_it_is(reach: float, through: bool) -> None:
+    angle = np.radians([-20.0, 20.0, 140.0, -140.0])
+    outline, door = reach * np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([[2.0, -0.4], [2.0, 0.4]])
+    assert bool(len(split_outline(outline, np.zeros(2), door)[1])) == through
+
+
 def test_beams_that_fit_a_line_are_put_onto_it() -> None:
     beams, segments = look(np.array([3.0, 2.0, 0.0]), np.random.default_rng(0), 0.02)
     outline, _ = free_and_walls(beams, segments, GridConfig())
