@@ -12,7 +12,7 @@ from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.slam.association import ignored
 from mecp_env.slam.config import AssociationConfig, FilterConfig, LocalisationConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.localisation import PoseGuard, agreement, count_ends
+from mecp_env.slam.localisation import Evidence, PoseGuard, agreement, count_ends
 from mecp_env.slam.localisation.relocalisation import (
     LandmarkIndex,
     clear_winner,
@@ -28,6 +28,7 @@ from tests.slam.make import evidence
 
 CONFIG, NAN = LocalisationConfig(), math.nan
 REACH_M, PAIRING = 8.0, AssociationConfig()
+AGREES, CONTRADICTS = evidence(1.0, 1.0), evidence(0.3, 0.1)
 
 
 def in_map(drive, T_world_robot):
@@ -198,8 +199,12 @@ def test_a_least_share_of_zero_turns_the_guard_off():
     assert evidence(0.3, NAN, sharp=False, least=0.0).fits  # and nothing is tried again
 
 
-def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
+@pytest.fixture
+def guard() -> PoseGuard:
+    return PoseGuard(CONFIG, REACH_M, PAIRING)
+
+
+def test_a_pose_that_was_found_does_not_remember_how_it_was_lost(guard):
     guard.lose(anywhere=True)
     guard.trust()
     assert np.isfinite(guard.slack()).all()
@@ -209,8 +214,8 @@ def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
     ("landmarks", "anywhere", "after"),
     [(3, False, 8), (4, False, 40), (7, False, 40), (8, False, math.inf), (3, True, math.inf)],
 )
-def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int, anywhere: bool, after: float):
-    guard, estimate = PoseGuard(CONFIG, REACH_M, PAIRING), filter_with(landmarks)
+def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(guard, landmarks: int, anywhere: bool, after: float):
+    estimate = filter_with(landmarks)
     guard.lose(anywhere)
     ends = math.isfinite(after)
     resumed = [guard.resumes(estimate, landmarks) for _ in range(int(after) if ends else 200)]
@@ -220,8 +225,8 @@ def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int
     assert sigma_m == pytest.approx(CONFIG.inlier_m if ends else 0.0, abs=2e-3)  # odometry may have failed by so much
 
 
-def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed():
-    guard, estimate = PoseGuard(CONFIG, REACH_M, PAIRING), filter_with(9)
+def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed(guard):
+    estimate = filter_with(9)
     guard.lose()
     metre = make.odometry([1.0, 0.0], (0.01, 0.01))
 
@@ -264,50 +269,44 @@ def test_pairs_that_no_odometry_explains_loosen_the_prediction(share: float, tur
     assert abs(plain.belief().T_map_robot[2] - turned) > 0.015 or turned < 0.1
 
 
-def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
+def trusted(guard: PoseGuard, *said: Evidence) -> list[bool]:
+    """Whether the pose is trusted after each scan."""
+    return [guard.trusts(one) for one in said]
+
+
+def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(guard, mapped):
     belief = mapped[1].belief
     assert guard.confidence(belief) > 0.99
-    assert guard.trusts(evidence(1.0, 1.0))
-    assert not guard.trusts(evidence(0.3, 0.1))
+    assert trusted(guard, AGREES, CONTRADICTS, AGREES, CONTRADICTS) == [True, False, True, False]
     assert guard.localised
-    assert guard.trusts(evidence(1.0, 1.0))
-    for _ in range(2):
-        assert not guard.trusts(evidence(0.3, 0.1))
+    assert trusted(guard, CONTRADICTS) == [False]
     assert not guard.localised
     assert guard.confidence(belief) < 0.01
-    assert not guard.trusts(evidence(1.0, 1.0))  # only a search ends it
+    assert trusted(guard, AGREES) == [False]  # only a search ends it
 
 
-def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
+@pytest.mark.parametrize(("vouched", "after"), [(20, 1), (0, 4)])
+def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up(guard, vouched: int, after: int):
     """A map that is bent or a wall that was moved contradicts it; a track that began elsewhere is a carried robot's."""
-    broken = evidence(0.3, 0.1, tracked=True)
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
-    assert all(guard.trusts(broken._replace(vouched=True)) for _ in range(20))
-    assert not guard.trusts(broken)
-    assert not guard.localised
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
-    assert not any(guard.trusts(broken) for _ in range(3))
+    broken = CONTRADICTS._replace(tracked=True)
+    assert all(trusted(guard, *[broken._replace(vouched=True)] * vouched))
+    assert not any(trusted(guard, *[broken] * (after - 1)))
     assert guard.localised
     assert not guard.trusts(broken)
     assert not guard.localised
 
 
-def test_a_doubt_stays_until_something_speaks_for_the_pose():
+def test_a_doubt_stays_until_something_speaks_for_the_pose(guard):
     """Of two known corners beyond the mapped floor it is unknown where they were seen from."""
-    guard, silent = PoseGuard(CONFIG, REACH_M, PAIRING), evidence(NAN, NAN)
-    assert guard.trusts(silent)
-    assert not guard.trusts(evidence(0.3, 0.1))
-    assert not any(guard.trusts(silent) for _ in range(10))
+    silent = evidence(NAN, NAN)
+    assert trusted(guard, silent, CONTRADICTS, *[silent] * 10) == [True] + [False] * 11
     assert guard.localised
-    assert guard.trusts(evidence(NAN, 1.0))
-    assert guard.trusts(silent)
-    assert not guard.trusts(evidence(0.3, 0.1))
-    assert guard.trusts(evidence(NAN, 0.2))  # a few recognised corners beyond the mapped floor say something
+    some = evidence(NAN, 0.2)  # a few recognised corners beyond the mapped floor say something
+    assert trusted(guard, evidence(NAN, 1.0), silent, CONTRADICTS, some) == [True, True, False, True]
 
 
-def test_confidence_falls_with_the_covariance_of_the_position(mapped):
-    guard, belief = PoseGuard(CONFIG, REACH_M, PAIRING), mapped[1].belief
+def test_confidence_falls_with_the_covariance_of_the_position(guard, mapped):
+    belief = mapped[1].belief
     before = guard.confidence(belief)
     assert guard.trusts(evidence(NAN, 0.2))  # nothing is mapped there
     assert guard.confidence(belief) == before
@@ -319,11 +318,8 @@ def test_confidence_falls_with_the_covariance_of_the_position(mapped):
     ("share", "sudden", "off_m", "same"),
     [(1.0, False, 0.05, True), (1.0, False, 0.2, False), (1.0, True, 0.05, False), (0.7, False, 0.05, False)],
 )
-def test_a_corner_more_at_the_same_place_is_no_sign_of_failed_odometry(
-    share: float, sudden: bool, off_m: float, same: bool
-) -> None:
+def test_a_corner_more_at_the_same_place_is_no_sign_of_failed_odometry(guard, share, sudden, off_m, same) -> None:
     one, other = make.belief((3.0, 2.0, 3.1)), make.belief((3.0, 2.0 + off_m, -3.1))
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
     assert guard.is_same(evidence(share, 0.5, sudden=sudden), one, other) == same
     assert not guard.is_same(evidence(1.0, 0.5), one, make.belief((3.0, 2.0, 2.9)))
 
