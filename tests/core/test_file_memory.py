@@ -113,9 +113,7 @@ def bombs(kind: str) -> Iterator[bytes]:
     """Files of a kind that would take the most memory."""
     if kind in FIELDS:
         most = 2_000_000 if kind in ("layout", "plan") else SIZE
-        yield from (
-            text.replace("LIST", items(k, most - 100)).encode() for k in ITEMS for text in ("LIST", FIELDS[kind])
-        )
+        yield from (FIELDS[kind].replace("LIST", items(name, most - 100)).encode() for name in ITEMS)
     elif kind in ("page", "map"):
         yield from ((page if kind == "page" else saved_map)(items(name, 10**7)) for name in ITEMS)
     elif kind == "log":

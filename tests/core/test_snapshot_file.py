@@ -128,11 +128,7 @@ class Foreign:
     x: int = 1
 
 
-@pytest.mark.parametrize(
-    "value",
-    [print, Foreign(), np.array([None])],
-    ids=lambda value: type(value).__name__,
-)
+@pytest.mark.parametrize("value", [print, Foreign(), np.array([None])], ids=lambda value: type(value).__name__)
 def test_what_no_state_may_hold_is_refused(value):
     with pytest.raises(TypeError):
         encode(value)

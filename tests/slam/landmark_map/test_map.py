@@ -9,7 +9,7 @@ import pytest
 from mecp_env.core.se2 import polar_to_points
 from mecp_env.slam.config import DynamicObjectsConfig, SlamConfig, TrackConfig
 from mecp_env.slam.landmark_map import MapPolygonStore, link
-from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, whole_bodies, without_dynamic
+from mecp_env.slam.landmark_map.dynamic_objects import StaticWorld, make_dynamic_objects, without_dynamic
 from mecp_env.slam.landmark_map.tracks import (
     PruneLimits,
     drop_tracks,
@@ -324,13 +324,6 @@ def test_a_segment_goes_when_more_than_half_of_its_beams_end_on_something_that_m
         plain = [of_run[a : b + 1].mean() <= 0.5 for a, b in zip(first, last, strict=True)]
         segments = make.segments(first=first, last=last, roll=roll)
         assert without_dynamic(segments, dynamic).first.tolist() == first[plain].tolist()
-
-
-def test_the_rim_of_a_body_is_dynamic_with_its_middle():
-    bearings = np.linspace(-1.0, 1.0, 201)
-    ranges = np.where(np.abs(bearings) < 0.1, 2.0, 4.0)
-    middle, hit = np.abs(bearings) < 0.05, np.ones(201, dtype=bool)
-    assert (whole_bodies(ranges, bearings, hit, middle, CONFIG.record) == (ranges == 2.0)).all()
 
 
 def test_a_polygon_is_linked_to_features_of_its_room_from_the_least_id():

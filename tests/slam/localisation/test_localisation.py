@@ -13,13 +13,7 @@ from mecp_env.slam.association import ignored
 from mecp_env.slam.config import AssociationConfig, FilterConfig, LocalisationConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.localisation import Evidence, PoseGuard, agreement, count_ends
-from mecp_env.slam.localisation.relocalisation import (
-    LandmarkIndex,
-    clear_winner,
-    count_distinct,
-    fit,
-    moved,
-)
+from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winner, count_distinct, fit, moved
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
