@@ -111,13 +111,6 @@ def test_sightings_count_for_the_gap_not_for_the_ids_of_its_jambs():
     assert [(door.jambs, door.sightings) for door in keeper.door_map.doors] == [((2, 3), 3)]
 
 
-def test_crossing_the_door_opens_a_room_and_coming_back_is_the_old_one():
-    keeper = keeper_with_door()
-    assert walk(keeper, (-0.5, -0.1, 0.2, 0.5)) == [0, 0, 0, 1]
-    assert walk(keeper, (0.2, -0.1, -0.5)) == [1, 1, 0]
-    assert keeper.graph().rooms == (0, 1)
-
-
 def test_oscillation_on_the_threshold_changes_nothing():
     keeper = keeper_with_door()
     assert set(walk(keeper, (-0.2, 0.2) * 10)) == {0}
