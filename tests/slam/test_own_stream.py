@@ -11,7 +11,7 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose
 from mecp_env.slam import Odometry, Scan, SensorError
 from mecp_env.slam.config import SensorModel
-from tests.slam.scans import cast, ring, turned
+from tests.slam.scans import cast, moved, ring
 
 B = 360
 ANGLES = np.linspace(-math.pi, math.pi, B + 1)[1:]
@@ -76,7 +76,7 @@ def test_the_ten_lines_of_the_page_map_a_room(tmp_path: Path, monkeypatch: pytes
     assert len(body.strip().splitlines()) <= 10
     bearings = np.radians(np.linspace(-119.0, 119.0, 477))
     headings = [math.radians(10.0 * k) for k in range(37)]
-    seen = [cast(turned(WALLS, -heading) - [0.1, 0.0], bearings).astype(np.float32) for heading in headings]
+    seen = [cast(moved(WALLS, (0.0, 0.0, turn)) - [0.1, 0.0], bearings).astype(np.float32) for turn in headings]
     stream = iter([(np.array([0.0, 0.0, heading]), ranges) for heading, ranges in zip(headings, seen, strict=True)])
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"stream": stream, "bearings": bearings}

@@ -69,16 +69,6 @@ def test_two_corners_never_follow_one_track_nor_one_across_the_room():
     assert sorted(ids) == [0, 1, 2]
 
 
-def test_a_track_that_the_associator_chose_is_no_other_corners_track():
-    table = FeatureTable()
-    first = see(table, [[2.0, 1.0]], 0)[0].ids[0]
-    match = make.match([-1, first], [Decision.NEW, Decision.PROVISIONAL])
-    seen = make.sighting(make.corners(points=[[2.0, 1.0], [2.0, 1.1]]), match, ORIGIN, 1)
-    found, confirmed = track_corners(table, seen, graph_of(), SlamConfig())
-    assert found.ids[1] == first != found.ids[0]
-    assert len(set(found.ids[confirmed].tolist())) == len(confirmed)
-
-
 def landmarks(rooms):
     table = FeatureTable()
     see(table, np.concatenate((SQUARE, SQUARE * 2.0))[: len(rooms)], 0)
@@ -98,13 +88,6 @@ def remember(store, table, polygon, graph):
 def prune(store, table, graph):
     store.outdated = True
     store.prune(table, graph.resolve)
-
-
-@pytest.mark.parametrize("graph", [graph_of(current=1), graph_of(in_doorway=True)])
-def test_no_polygon_of_another_room_or_from_a_doorway(graph):
-    store = MapPolygonStore(32)
-    remember(store, landmarks([0] * 8), polygon(0, 1, 2, 3), graph)
-    assert not store.polygons
 
 
 def test_no_polygon_over_two_rooms_even_after_a_merge():

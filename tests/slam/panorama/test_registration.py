@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mecp_env.core.se2 import inverse, to_map, wrap_angle
+from mecp_env.core.se2 import to_map, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.panorama import registration
 from mecp_env.slam.panorama.registration import (
@@ -20,20 +20,13 @@ from mecp_env.slam.panorama.registration import (
 )
 from tests.slam import make
 from tests.slam.frontend.make import PAPER, front_end, on_walls
-from tests.slam.scans import ring, take_scan
+from tests.slam.scans import moved, ring, take_scan
 
 CONFIG = SlamConfig()
 LIMITS = RegistrationLimits.of(CONFIG)
 ROOM = ring((-2.0, -1.5), (3.0, -1.5), (3.0, 0.5), (4.0, 0.5), (4.0, 2.5), (-2.0, 2.5))
 CORRIDOR = np.array([[[-60.0, -1.0], [60.0, -1.0]], [[60.0, 1.0], [-60.0, 1.0]]])
 PRIOR = np.diag([0.2, 0.2, 0.2]) ** 2
-
-
-def moved(faces, T):
-    """The faces in the frame of a robot at T."""
-    x, y, heading = inverse(np.asarray(T, float))
-    c, s = math.cos(heading), math.sin(heading)
-    return faces @ np.array([[c, s], [-s, c]]) + [x, y]
 
 
 def surfaces_and_beams(faces, seed, max_range_m=30.0):
