@@ -12,7 +12,6 @@ from mecp_env.slam.association.cliques import (
     candidate_pairs,
     cartesian,
     constraint_graph,
-    jointly_compatible,
     maximum_clique,
     relations,
 )
@@ -202,16 +201,6 @@ def test_bearings_on_both_sides_of_pi_are_near(method):
     assert not len(scene.associated(method=method).recognised())
 
 
-def test_the_joint_test_of_ccda_leaves_out_the_pair_that_disturbs():
-    scene = Scene(np.random.default_rng(9), landmarks=6, spurious=0, sigma=0.02)
-    for moved, kept in ((0.0, [0, 1, 2, 3, 4, 5]), (0.1, [0, 1, 3, 4, 5])):
-        scene.z[2, 0] += moved
-        fits = jointly_compatible(
-            scene.corners, np.arange(6), scene.true, scene.belief, AssociationConfig(), iterate=False
-        )
-        assert fits.tolist() == kept
-
-
 @pytest.mark.parametrize("method", ["jcbb", "ccda", "nearest_room", "mecp_paper"])
 def test_in_closed_loop_the_rivals_map_two_rooms(drive, method):
     run = list(drive.run(SlamConfig(association=AssociationConfig(method=method))))
@@ -254,12 +243,3 @@ def test_of_two_equal_places_none_is_chosen() -> None:
     for x, sigma_m in ((-1.0, 0.7), (2.0, 2.0)):  # the other is too far off, or less likely
         match = moved(scene, (x, 0.0, 0.0), (sigma_m, sigma_m, 0.2)).associated(method="mecp")
         assert match.ids.tolist() == scene.true.tolist()
-
-
-def test_one_corner_is_paired_unless_another_landmark_is_as_near() -> None:
-    for beside, pairs in ((4.0, 1), (0.3, 0)):
-        scene = Scene(np.random.default_rng(3), p_robot=[[3.0, 0.0], [3.0, beside]], spurious=0)
-        seen = scene.true == 0
-        scene.z, scene.true, scene.R = scene.z[seen], scene.true[seen], scene.R[:2, :2]
-        match = moved(scene, (0.1, 0.0, 0.0), (0.2, 0.2, 0.05)).associated(method="mecp")
-        assert len(match.recognised()) == pairs
