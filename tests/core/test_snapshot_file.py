@@ -137,16 +137,14 @@ def test_what_no_state_may_hold_is_refused(value):
 
 
 MESSAGES = "mecp_env.slam.messages"
-DAMAGED = [(1, 2), {}, {"@list": [], "@dict": []}, {"@nothing": 1}, {"@list": 3}, {"@scalar": 3}, {"@same": 3}]
-DAMAGED += [{"@object": content} for content in (3, ["os:system", {}], ["mecp_env.nowhere:X", {}])]
+DAMAGED = [(1, 2), {}, {"@list": [], "@dict": []}, {"@nothing": 1}, {"@list": 3}, {"@dict": [[1]]}, {"@array": [1]}]
+NOT_HELD = ["os:system", "mecp_env.nowhere:X", "mecp_env.cli.main:Command", "mecp_env.core.snapshot:encode"]
+DAMAGED += [{"@object": [name, {}]} for name in NOT_HELD]
 DAMAGED += [{"@object": ["mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}]}]
-DAMAGED += [{"@object": ["mecp_env.core.snapshot:encode", {}]}]
-DAMAGED += [{"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]}]
+DAMAGED += [{"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]}, {"@generator": None}]
 DAMAGED += [{"@enum": [f"{MESSAGES}:FeatureTable", 1]}, {"@enum": [f"{MESSAGES}:Cell", 99]}]
-DAMAGED += [{"@settings": [f"{MESSAGES}:FeatureTable", {}]}, {"@dict": [[1]]}, {"@dict": [[{"@list": []}, 1]]}]
+DAMAGED += [{"@settings": [f"{MESSAGES}:FeatureTable", {}]}]
 DAMAGED += [{"@settings": ["mecp_env.world.config:LaserConfig", {"preset": "best"}]}]
-DAMAGED += [{"@object": ["mecp_env.cli.main:Command", {}]}, {"@keep": 3}, {"@frozen": [1]}]
-DAMAGED += [{"@generator": {"bit_generator": "PCG64"}}, {"@generator": None}, {"@array": None}, {"@array": [1]}]
 
 
 @pytest.mark.parametrize("data", DAMAGED, ids=str)
