@@ -50,8 +50,16 @@ class Drive:
             true = true_correspondences(T_world_laser, self.outline)(output.corners)
             yield pipeline, output, true, self._error(output, pose)
 
+    def in_map(self, T_world):
+        """A pose of the world in the frame of the map, which is that of the first scan's robot."""
+        return compose(inverse(self.T_world_robot[0]), T_world)
+
+    @property
+    def T_map_robot(self):
+        return [self.in_map(pose) for pose in self.T_world_robot]
+
     def _error(self, output, pose):
-        error = compose(inverse(self.T_world_robot[0]), pose) - output.belief.T_map_robot
+        error = self.in_map(pose) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         return error
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
@@ -61,11 +60,11 @@ def test_a_loaded_map_goes_on_to_the_bit(name: str, drive: Drive, tmp_path: Path
 @pytest.mark.parametrize("known", [True, False], ids=["roughly known", "unknown"])
 def test_a_robot_put_into_a_map_is_found_and_maps_on(first: int, known: bool, drive: Drive, saved: Path) -> None:
     """In either room, with half a metre of error or at an unknown place, where it maps nothing before it is found."""
-    start = truth(drive, first - 1)[0] + np.array([0.4, -0.3, 0.2])
+    start = drive.T_map_robot[first - 1] + np.array([0.4, -0.3, 0.2])
     put = SlamPipeline.from_map(saved, start if known else "unknown")
     features, landmarks = len(put.map.features), put.filter.ids.tolist()
     assert not (put.map.features.rows["state"] == FeatureState.TRACK).any()
-    for output, true in zip(fed(put, drive, first, first + 15), truth(drive, first), strict=False):
+    for output, true in zip(fed(put, drive, first, first + 15), drive.T_map_robot[first:], strict=False):
         assert output.localised or not known
         assert (output.confidence > 0.5) == output.localised
         if output.localised:
@@ -79,11 +78,6 @@ def test_a_robot_put_into_a_map_is_found_and_maps_on(first: int, known: bool, dr
     assert output.step == len(drive.scans) + 15
 
 
-def truth(drive: Drive, first: int) -> list[Any]:
-    """The true poses from a step on, in the map frame."""
-    return [compose(inverse(drive.T_world_robot[0]), pose) for pose in drive.T_world_robot[first:]]
-
-
 def test_an_unknown_start_does_not_favour_the_saved_pose(tmp_path: Path) -> None:
     """Two rooms are equal: a robot saved in one and now in the other was once taken to be where it was saved."""
     places = ((5.0, 2.0), (7.0, 2.0), (9.0, 2.0), (10.0, 3.0), (10.0, 5.0), (10.0, 7.5), (10.0, 10.5))
@@ -93,7 +87,7 @@ def test_an_unknown_start_does_not_favour_the_saved_pose(tmp_path: Path) -> None
     south = [k for k, pose in enumerate(drive.T_world_robot) if 5.0 < pose[0] < 7.0]
     x, y, heading = drive.T_world_robot[south[0] - 1]  # before the first step
     east = np.array([10.0 - (y - 2.0), 6.0 + (x - 6.0), heading + math.pi / 2.0])
-    place(pipeline, compose(inverse(drive.T_world_robot[0]), east), np.diag([1e-4, 1e-4, 1e-4]))
+    place(pipeline, drive.in_map(east), np.diag([1e-4, 1e-4, 1e-4]))
     pipeline.save_map(tmp_path / "map.zip")
     for output in run(SlamPipeline.from_map(tmp_path / "map.zip", "unknown"), drive, south[0], south[-1] + 1):
         assert not output.localised

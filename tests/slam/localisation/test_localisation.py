@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import ignored
 from mecp_env.slam.config import AssociationConfig, FilterConfig, LocalisationConfig
 from mecp_env.slam.filters import make_filter
@@ -23,10 +23,6 @@ from tests.slam.make import evidence
 CONFIG, NAN = LocalisationConfig(), math.nan
 REACH_M, PAIRING = 8.0, AssociationConfig()
 AGREES, CONTRADICTS = evidence(1.0, 1.0), evidence(0.3, 0.1)
-
-
-def in_map(drive, T_world_robot):
-    return compose(inverse(drive.T_world_robot[0]), T_world_robot)
 
 
 def agreeing(beams, T_map_robot, grid):
@@ -70,7 +66,7 @@ def test_ends_of_beams_are_counted_as_the_plain_twin_does():
 
 def test_the_map_agrees_at_the_right_pose_and_contradicts_one_a_metre_off(mapped):
     _, output, drive = mapped
-    T_map_robot = in_map(drive, drive.T_world_robot[-1])
+    T_map_robot = drive.T_map_robot[-1]
     right = agreeing(output.beams, T_map_robot, output.grid)
     wrong = agreeing(output.beams, T_map_robot + np.array([0.7, 0.7, 0.3]), output.grid)
     assert right.share > 0.95
@@ -104,7 +100,7 @@ def test_one_scan_is_located_anywhere_in_the_map(mapped):
         if k % 10 == 0:
             found = index.locate(features.corners, features.polygons)
             assert all(len(one.corners) == len(set(one.ids.tolist())) for one in found)
-            hits += bool(found) and off(found[0].T_map_robot, in_map(drive, drive.T_world_robot[k])) < (0.2, 0.1)
+            hits += bool(found) and off(found[0].T_map_robot, drive.T_map_robot[k]) < (0.2, 0.1)
     assert hits >= 0.8 * (len(drive.scans) // 10)
 
 
@@ -325,7 +321,7 @@ def way_back(drive, error):
         taken = drive.odometry[k if n == 0 else k + 1]
         increments = np.ascontiguousarray(-taken.increments[::-1]) * (n > 0)
         increments[0] += error if n == 0 else 0.0
-        yield replace(taken, increments=increments), drive.scans[k], in_map(drive, drive.T_world_robot[k])
+        yield replace(taken, increments=increments), drive.scans[k], drive.T_map_robot[k]
 
 
 @pytest.mark.parametrize("error", [(0.1, math.radians(7.0)), (-1.0, math.radians(20.0))])  # with the first, beams fit
@@ -352,7 +348,7 @@ def test_a_robot_carried_to_the_other_room_is_noticed_and_found(mapped):
     assert min(output.confidence for output in trace[:10]) < 0.5
     assert not all(output.localised for output in trace)
     assert trace[-1].localised
-    assert off(trace[-1].belief.T_map_robot, in_map(drive, drive.T_world_robot[step + 14])) < (0.1, 0.05)
+    assert off(trace[-1].belief.T_map_robot, drive.T_map_robot[step + 14]) < (0.1, 0.05)
     last = max(k for k, output in enumerate(trace) if not output.localised)
     assert trace[last + 1].graph.current != trace[0].graph.current  # in the room that it is found in
     searching = [output for output in trace if not output.localised]
