@@ -142,7 +142,7 @@ NOT_HELD = ["os:system", "mecp_env.nowhere:X", "mecp_env.cli.main:Command", "mec
 DAMAGED += [{"@object": [name, {}]} for name in NOT_HELD]
 DAMAGED += [{"@object": ["mecp_env.core.processes:Connection", {"_handle": 1, "_readable": True, "_writable": True}]}]
 DAMAGED += [{"@object": ["mecp_env.episode.observations:TravelledPath", {"nothing_such": 1}]}, {"@generator": None}]
-DAMAGED += [{"@enum": [f"{MESSAGES}:FeatureTable", 1]}, {"@enum": [f"{MESSAGES}:Cell", 99]}]
+DAMAGED += [{"@enum": [f"{MESSAGES}:FeatureTable", 1]}, {"@enum": [f"{MESSAGES}:Cell", 99]}, {"@same": 3}]
 DAMAGED += [{"@settings": [f"{MESSAGES}:FeatureTable", {}]}]
 DAMAGED += [{"@settings": ["mecp_env.world.config:LaserConfig", {"preset": "best"}]}]
 
