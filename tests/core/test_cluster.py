@@ -11,14 +11,7 @@ import pytest
 
 from mecp_env.cli import main as cli
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.work_units import (
-    FailedUnit,
-    attempt,
-    code_of,
-    connected,
-    run_on_cluster,
-    run_units,
-)
+from mecp_env.core.work_units import FailedUnit, attempt, code_of, connected, run_on_cluster, run_units
 
 ROOT = Path(__file__).parents[2]
 HEAD, OTHER = "127.0.0.2", "127.0.0.3"  # loopback; Ray takes 127.0.0.1 for the outer address

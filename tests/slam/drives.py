@@ -1,6 +1,7 @@
 """Scripted drives through an included layout: sensor data and true poses."""
 
 import math
+from collections import Counter, defaultdict
 from dataclasses import dataclass
 
 import numpy as np
@@ -8,6 +9,7 @@ import numpy as np
 from mecp_env.core.se2 import compose, inverse, wrap_angle
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.messages import Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from mecp_env.slam.protocols import Associator
 from mecp_env.world.config import LaserConfig, OdometryConfig, RobotConfig
@@ -48,8 +50,16 @@ class Drive:
             true = true_correspondences(T_world_laser, self.outline)(output.corners)
             yield pipeline, output, true, self._error(output, pose)
 
+    def in_map(self, T_world):
+        """A pose of the world in the frame of the map, which is that of the first scan's robot."""
+        return compose(inverse(self.T_world_robot[0]), T_world)
+
+    @property
+    def T_map_robot(self):
+        return [self.in_map(pose) for pose in self.T_world_robot]
+
     def _error(self, output, pose):
-        error = compose(inverse(self.T_world_robot[0]), pose) - output.belief.T_map_robot
+        error = self.in_map(pose) - output.belief.T_map_robot
         error[2] = wrap_angle(error[2])
         return error
 
@@ -80,3 +90,24 @@ def _keep(drive, odometry, scan, pose):
     drive.odometry.append(odometry)
     drive.scans.append(scan)
     drive.T_world_robot.append(pose)
+
+
+def majority_identity(steps):
+    """The true corner of each landmark of a run: that of most of its sightings."""
+    votes = defaultdict(Counter)
+    for _, output, truth, _ in steps:
+        for feature, corner in zip(output.match.ids.tolist(), truth.tolist(), strict=True):
+            votes[feature][corner] += 1
+    return {feature: count.most_common(1)[0][0] for feature, count in votes.items()}
+
+
+def share_right(steps, reasons=tuple(Reason)):
+    """The share of the corners recognised for these reasons that are the landmark's own, and how many there are."""
+    identity = majority_identity(steps)
+    right = [
+        identity[int(output.match.ids[i])] == true[i] >= 0
+        for _, output, true, _ in steps
+        for i in output.match.recognised()
+        if output.match.reason[i] in reasons
+    ]
+    return np.mean(right), len(right)

@@ -1,10 +1,8 @@
 """Constructed scans: rays against faces in NumPy, with the bearings and noise of the laser."""
 
-import math
-
 import numpy as np
 
-from mecp_env.core.se2 import polar_to_points
+from mecp_env.core.se2 import polar_to_points, to_robot
 from mecp_env.slam.config import SensorModel
 from tests.slam import make
 from tests.slam.frontend.make import PAPER, front_end
@@ -26,10 +24,14 @@ def chain(*points):
     return ring(*points)[:-1]
 
 
+def moved(faces, T):
+    """The faces in the frame of a robot at T."""
+    return to_robot(np.asarray(T, float), faces.reshape(-1, 2)).reshape(faces.shape)
+
+
 def turned(faces, angle):
     """The faces as a robot sees them that is turned by -angle."""
-    c, s = math.cos(angle), math.sin(angle)
-    return faces @ np.array([[c, s], [-s, c]])
+    return moved(faces, (0.0, 0.0, -angle))
 
 
 def cast(faces, bearings):

@@ -17,6 +17,7 @@ from mecp_env.slam import Odometry, Scan, SlamConfig, SlamPipeline
 from mecp_env.slam.config import SensorModel
 from mecp_env.slam.export import area, door_outline, room_outline
 from tests.slam import make
+from tests.slam.scans import cast, ring
 
 FILES = {"landmarks": "x.csv", "rooms": "x.geojson", "g2o": "x.g2o", "grid": "x.yaml"}
 
@@ -41,7 +42,7 @@ def test_output_pipeline_and_command_write_the_same_files(mapped: Any, tmp_path:
 
 def test_the_joint_covariance_is_that_of_the_robots_centre_and_names_its_rows(tmp_path: Path) -> None:
     angles = np.linspace(-math.pi, math.pi, 361)[1:]
-    ranges = np.minimum(3.0 / np.maximum(np.abs(np.cos(angles)), 1e-9), 2.0 / np.maximum(np.abs(np.sin(angles)), 1e-9))
+    ranges = cast(ring((3.0, -2.0), (3.0, 2.0), (-3.0, 2.0), (-3.0, -2.0)), angles)
     pipeline = SlamPipeline(SlamConfig(sensor=SensorModel.preset("rplidar_a1", x_m=0.3, y_m=-0.2)))
     pipeline.start(Scan.of(ranges, angles, 12.0))
     for _ in range(4):

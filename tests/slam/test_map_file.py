@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.se2 import compose, inverse
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
@@ -57,27 +56,26 @@ def test_a_loaded_map_goes_on_to_the_bit(name: str, drive: Drive, tmp_path: Path
     assert same(encode(other), encode(pipeline))
 
 
-@pytest.mark.parametrize(("first", "kind"), [(10, "riekf"), (35, "fej")])
-def test_a_robot_put_into_a_map_localises_and_goes_on_mapping(first: int, kind: str, drive: Drive) -> None:
-    """At another place of the drive than where it ended, in either room, with half a metre of error."""
-    pipeline = SlamPipeline({"filter": {"kind": kind}})
-    run(pipeline, drive, 0, len(drive.scans))
-    landmarks = pipeline.filter.belief().ids
-    start = compose(inverse(drive.T_world_robot[0]), drive.T_world_robot[first - 1])
-    put = SlamPipeline.from_map(SlamMap.of(pipeline), start + np.array([0.4, -0.3, 0.2]))
+@pytest.mark.parametrize("first", [5, 35])
+@pytest.mark.parametrize("known", [True, False], ids=["roughly known", "unknown"])
+def test_a_robot_put_into_a_map_is_found_and_maps_on(first: int, known: bool, drive: Drive, saved: Path) -> None:
+    """In either room, with half a metre of error or at an unknown place, where it maps nothing before it is found."""
+    start = drive.T_map_robot[first - 1] + np.array([0.4, -0.3, 0.2])
+    put = SlamPipeline.from_map(saved, start if known else "unknown")
+    features, landmarks = len(put.map.features), put.filter.ids.tolist()
     assert not (put.map.features.rows["state"] == FeatureState.TRACK).any()
-    outputs = run(put, drive, first, first + 15)
-    errors = [output.belief.T_map_robot - true for output, true in zip(outputs, truth(drive, first), strict=False)]
-    assert np.abs(errors)[:, :2].max() < 0.05
-    assert set(landmarks.tolist()) <= set(outputs[-1].belief.ids.tolist())
-    assert len(outputs[-1].belief.ids) <= len(landmarks) + 1
-    assert outputs[0].graph.current == (0 if drive.T_world_robot[first][0] < 5.0 else 1)
-    assert outputs[-1].step == len(drive.scans) + 15
-
-
-def truth(drive: Drive, first: int) -> list[Any]:
-    """The true poses from a step on, in the map frame."""
-    return [compose(inverse(drive.T_world_robot[0]), pose) for pose in drive.T_world_robot[first:]]
+    for output, true in zip(fed(put, drive, first, first + 15), drive.T_map_robot[first:], strict=False):
+        assert output.localised or not known
+        assert (output.confidence > 0.5) == output.localised
+        if output.localised:
+            assert np.abs(output.belief.T_map_robot - true)[:2].max() < 0.05
+        else:
+            assert len(put.map.features) == features
+    assert output.localised
+    assert set(landmarks) <= set(output.belief.ids.tolist())
+    assert len(output.belief.ids) <= len(landmarks) + 1
+    assert output.graph.current == (0 if true[0] < 3.0 else 1)
+    assert output.step == len(drive.scans) + 15
 
 
 def test_an_unknown_start_does_not_favour_the_saved_pose(tmp_path: Path) -> None:
@@ -89,28 +87,10 @@ def test_an_unknown_start_does_not_favour_the_saved_pose(tmp_path: Path) -> None
     south = [k for k, pose in enumerate(drive.T_world_robot) if 5.0 < pose[0] < 7.0]
     x, y, heading = drive.T_world_robot[south[0] - 1]  # before the first step
     east = np.array([10.0 - (y - 2.0), 6.0 + (x - 6.0), heading + math.pi / 2.0])
-    place(pipeline, compose(inverse(drive.T_world_robot[0]), east), np.diag([1e-4, 1e-4, 1e-4]))
+    place(pipeline, drive.in_map(east), np.diag([1e-4, 1e-4, 1e-4]))
     pipeline.save_map(tmp_path / "map.zip")
     for output in run(SlamPipeline.from_map(tmp_path / "map.zip", "unknown"), drive, south[0], south[-1] + 1):
         assert not output.localised
-
-
-@pytest.mark.parametrize("first", [5, 35])
-def test_a_robot_anywhere_in_the_map_is_found_and_nothing_is_mapped_before(
-    first: int, drive: Drive, saved: Path
-) -> None:
-    pipeline = SlamPipeline.from_map(saved, "unknown")
-    features, landmarks = len(pipeline.map.features), set(pipeline.filter.ids.tolist())
-    for k, true in zip(range(first, first + 15), truth(drive, first), strict=False):
-        output = pipeline.start(drive.scans[k]) if k == first else pipeline.step(drive.odometry[k], drive.scans[k])
-        if output.localised:
-            assert np.abs(output.belief.T_map_robot - true)[:2].max() < 0.05
-            assert output.confidence > 0.5
-        else:
-            assert len(pipeline.map.features) == features
-            assert output.confidence < 0.5
-    assert output.localised
-    assert landmarks <= set(pipeline.filter.ids.tolist())
 
 
 @pytest.mark.parametrize(

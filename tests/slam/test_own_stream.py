@@ -11,10 +11,12 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.core.se2 import compose
 from mecp_env.slam import Odometry, Scan, SensorError
 from mecp_env.slam.config import SensorModel
+from tests.slam.scans import cast, moved, ring
 
 B = 360
 ANGLES = np.linspace(-math.pi, math.pi, B + 1)[1:]
-ROOM = np.minimum(3.0 / np.maximum(np.abs(np.cos(ANGLES)), 1e-9), 2.0 / np.maximum(np.abs(np.sin(ANGLES)), 1e-9))
+ROOM = cast(ring((3.0, -2.0), (3.0, 2.0), (-3.0, 2.0), (-3.0, -2.0)), ANGLES)
+WALLS = ring((2.0, -1.5), (2.0, 1.5), (-2.0, 1.5), (-2.0, -1.5))
 
 
 @pytest.mark.parametrize(
@@ -74,7 +76,8 @@ def test_the_ten_lines_of_the_page_map_a_room(tmp_path: Path, monkeypatch: pytes
     assert len(body.strip().splitlines()) <= 10
     bearings = np.radians(np.linspace(-119.0, 119.0, 477))
     headings = [math.radians(10.0 * k) for k in range(37)]
-    stream = iter([(np.array([0.0, 0.0, heading]), seen(heading, bearings)) for heading in headings])
+    seen = [cast(moved(WALLS, (0.0, 0.0, turn)) - [0.1, 0.0], bearings).astype(np.float32) for turn in headings]
+    stream = iter([(np.array([0.0, 0.0, heading]), ranges) for heading, ranges in zip(headings, seen, strict=True)])
     monkeypatch.chdir(tmp_path)
     names: dict[str, Any] = {"stream": stream, "bearings": bearings}
     exec(f"{imports}\n{body}", names)
@@ -83,12 +86,3 @@ def test_the_ten_lines_of_the_page_map_a_room(tmp_path: Path, monkeypatch: pytes
     corners = sorted(np.abs(belief.p_map).round(1).tolist())
     assert corners == [[2.0, 1.5]] * 4
     assert {path.name for path in tmp_path.iterdir()} == {"x.csv", "x.geojson", "x.g2o", "x.yaml", "x.pgm", "x.npz"}
-
-
-def seen(heading: float, bearings: np.ndarray) -> np.ndarray:
-    """Ranges as float32, to the walls x = +-2 m and y = +-1.5 m, of a laser 10 cm ahead of the origin."""
-    x, y = 0.1 * math.cos(heading), 0.1 * math.sin(heading)
-    cos, sin = np.cos(bearings + heading), np.sin(bearings + heading)
-    with np.errstate(divide="ignore"):
-        along = np.minimum((np.copysign(2.0, cos) - x) / cos, (np.copysign(1.5, sin) - y) / sin)
-    return along.astype(np.float32)

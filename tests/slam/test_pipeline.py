@@ -1,7 +1,6 @@
 """The whole estimator, on scripted drives through two rooms and around a ring."""
 
 import inspect
-from collections import Counter, defaultdict
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,7 @@ from mecp_env.slam.messages import CornerKind, Decision, FeatureState, Reason
 from mecp_env.slam.panorama import RecentScans
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
-from tests.slam.drives import fed, scripted_drive
+from tests.slam.drives import fed, majority_identity, scripted_drive, share_right
 
 NOISE: dict[str, dict[str, float]] = {
     "paper": {},
@@ -27,24 +26,6 @@ NOISE: dict[str, dict[str, float]] = {
 @pytest.fixture(scope="module")
 def steps(drive):
     return list(drive.run(SlamConfig()))
-
-
-def majority_identity(steps):
-    votes = defaultdict(Counter)
-    for _, output, truth, _ in steps:
-        for feature, corner in zip(output.match.ids.tolist(), truth.tolist(), strict=True):
-            votes[feature][corner] += 1
-    return {feature: count.most_common(1)[0][0] for feature, count in votes.items()}
-
-
-def share_right(steps):
-    identity = majority_identity(steps)
-    right = total = 0
-    for _, output, truth, _ in steps:
-        for i in np.flatnonzero(output.match.decision == int(Decision.LANDMARK)):
-            total += 1
-            right += identity[int(output.match.ids[i])] == truth[i] >= 0
-    return right / total, total
 
 
 @pytest.mark.parametrize("noise", NOISE)

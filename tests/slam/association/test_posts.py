@@ -74,13 +74,6 @@ def test_the_other_associator_sees_no_posts_and_its_decisions_come_back_for_the_
     assert match.decision.tolist() == named
 
 
-def test_the_papers_mode_leaves_posts_out():
-    paper = SlamConfig.paper()
-    assert not paper.association.use_posts
-    assert paper.polygon.sites == "corners"
-    assert paper.association.gate_probability == 0.99
-
-
 @pytest.mark.parametrize("use_posts", [True, False])
 def test_a_post_is_merged_only_as_a_landmark(use_posts):
     """To merge a post with a landmark would be an update by the post."""

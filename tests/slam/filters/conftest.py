@@ -9,7 +9,7 @@ from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
 from mecp_env.slam.filters import make_filter
 from tests.slam import make
-from tests.slam.filters.twin import Twin, expected
+from tests.slam.filters.twin import J, Twin, expected, rotation
 
 
 @pytest.fixture(params=["riekf", "ekf", "fej"])
@@ -53,10 +53,11 @@ class Life:
     def slip(self) -> None:
         self.predict(bumper=True)
 
-    def augment(self) -> None:
-        m = int(self.rng.integers(1, 6))
+    def augment(self, count: int = 0) -> None:
+        """New landmarks; by default a random number of them."""
+        m = count or int(self.rng.integers(1, 6))
         z = np.column_stack((self.rng.uniform(1.0, 9.0, m), self.rng.uniform(-np.pi, np.pi, m)))
-        self.each("augment", z, sensor_cov(self.rng, m), self.born + np.arange(m))
+        self.each("augment", z, sensor_cov(self.rng, m), 100 + 3 * (self.born + np.arange(m)))
         self.born += m
 
     def look(self, ids: Any, sharp: float = 1.0) -> tuple[Any, Any]:
@@ -64,8 +65,8 @@ class Life:
         z = -nu.reshape(-1, 2) + sharp * self.rng.normal(size=(len(ids), 2)) * [0.05, 0.01]
         return z, sharp**2 * sensor_cov(self.rng, len(ids))
 
-    def update(self, iterate: bool = False, sharp: float = 1.0) -> None:
-        ids = self.rng.permutation(self.filters[0].ids)[:5]
+    def update(self, count: int = 5, iterate: bool = False, sharp: float = 1.0) -> None:
+        ids = self.rng.permutation(self.filters[0].ids)[:count]
         self.each("update", *self.look(ids, sharp), ids, iterate)
 
     def iterate(self) -> None:
@@ -89,43 +90,34 @@ class Life:
     def pin(self) -> None:
         self.each("set_pose", self.filters[0].belief().T_map_robot + self.rng.normal(size=3) * 0.01)
 
+    def place(self) -> None:
+        self.each("set_pose", self.rng.normal(size=3), random_cov(self.rng, [0.3, 0.2, 0.1]))
 
-class Pair:
+    def loosen(self) -> None:
+        self.each("loosen", random_cov(self.rng, [0.1, 0.2, 0.05]))
+
+    def shift(self) -> None:
+        self.each("shift_pose", self.rng.normal(size=3) * 0.03)
+
+    def copied(self) -> None:
+        """Copies go on in place of the filters."""
+        self.filters = tuple(self.each("copy"))
+
+
+class Pair(Life):
     """A filter and its reference implementation with the same inputs."""
 
     def __init__(self, kind: str, seed: int, landmarks: int = 6) -> None:
-        self.rng = np.random.default_rng(seed)
         config = FilterConfig(kind=kind)
-        self.filter: Any = make_filter(config)
-        self.twin = Twin(kind, config)
-        self.ids = np.empty(0, np.int64)
+        super().__init__(make_filter(config), Twin(config), seed=seed)
+        self.filter, self.twin = self.filters
         self.predict()
         self.augment(landmarks)
-        self.predict(bumper=True)
+        self.slip()
 
-    def predict(self, bumper: bool = False) -> None:
-        odometry = random_odometry(self.rng, int(self.rng.integers(1, 5)), bumper)
-        self.filter.predict(odometry)
-        self.twin.predict(odometry)
-
-    def augment(self, count: int) -> None:
-        z = np.stack([self.rng.uniform(1, 8, count), self.rng.uniform(-np.pi, np.pi, count)], axis=1)
-        R = sensor_cov(self.rng, count)
-        ids = 100 + 3 * (len(self.ids) + np.arange(count))
-        self.filter.augment(z, R, ids)
-        self.twin.augment(z, R)
-        self.ids = np.concatenate([self.ids, ids])
-
-    def scan(self, count: int) -> tuple[Any, Any, Any]:
-        """z, R and slots of distinct landmarks."""
-        slots = self.rng.permutation(len(self.ids))[:count]
-        z = expected(self.twin.x, slots) + self.rng.normal(size=(count, 2)) * [0.05, 0.01]
-        return z, sensor_cov(self.rng, count), slots
-
-    def update(self, count: int) -> None:
-        z, R, slots = self.scan(count)
-        self.filter.update(z, R, self.ids[slots])
-        self.twin.update(z, R, slots)
+    @property
+    def ids(self) -> Any:
+        return self.filter.ids
 
     @property
     def mean(self) -> Any:
@@ -135,7 +127,25 @@ class Pair:
     def cov(self) -> Any:
         return self.filter.cov[: self.filter.size, : self.filter.size]
 
+    def scan(self, count: int) -> tuple[Any, Any, Any]:
+        """z, R and ids of distinct landmarks."""
+        ids = self.rng.permutation(self.ids)[:count]
+        return *self.look(ids), ids
+
 
 @pytest.fixture
 def pair(kind: str) -> Pair:
     return Pair(kind, seed=5)
+
+
+def lost(kind: str, heading_error: float, seed: int = 0) -> tuple[Pair, Any, Any]:
+    """A robot that turned wrongly six metres ago (its covariance knows), z and R of what it now sees of 5 landmarks."""
+    pair = Pair(kind, seed, landmarks=5)
+    true, swing = pair.twin.x.copy(), np.zeros(13)
+    from_pivot = np.array([6.0, 0.0])
+    true[0] += heading_error
+    true[1:3] += rotation(heading_error) @ from_pivot - from_pivot
+    swing[:2], swing[2] = J @ from_pivot, 1.0  # of x, y and heading, per radian
+    pair.twin.set_world_cov(pair.twin.world_cov() + 0.3**2 * np.outer(swing, swing))
+    pair.cov[:] = pair.twin.P
+    return pair, expected(true, np.arange(5)), np.diag(np.tile([0.02**2, 0.005**2], 5))

@@ -37,17 +37,3 @@ def test_any_life_of_a_filter_keeps_a_covariance(kind, sequence, seed):
     for step in sequence:
         life.live(step)
         assert_sound(life.filters[0])
-
-
-@pytest.mark.parametrize("kind", ["riekf", "ekf", "fej"])
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 10**6))
-def test_an_update_adds_no_uncertainty_and_a_prediction_removes_none(kind, seed):
-    estimate = make_filter(FilterConfig(kind=kind))
-    life = Life(estimate, seed=seed)
-    life.augment()
-    for grow, step in ((True, life.slip), (False, life.update), (True, life.predict), (False, life.update)):
-        before = np.linalg.slogdet(estimate.marginal(estimate.ids)[1])[1]
-        step()
-        after = np.linalg.slogdet(estimate.marginal(estimate.ids)[1])[1]
-        assert (after - before) * (1.0 if grow else -1.0) > -1e-6

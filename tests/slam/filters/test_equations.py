@@ -4,10 +4,12 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.filters.models import linearise, retract
+from tests.slam import make
 from tests.slam.filters.conftest import Pair
 from tests.slam.filters.twin import exp_map, expected, wrap
 
 SLOTS = np.array([0, 3, 2])
+STEPS = ("predict", "slip", "update", "augment", "merge", "remove", "pin", "place", "loosen", "shift")
 
 
 def random_state(rng: np.random.Generator, landmarks: int = 4) -> np.ndarray:
@@ -20,11 +22,6 @@ def retracted(x: np.ndarray, xi: np.ndarray, invariant: bool) -> np.ndarray:
     moved = x.copy()
     retract(moved, len(x), xi, invariant)
     return moved
-
-
-def central_difference(function, at: np.ndarray, step: float = 1e-6) -> np.ndarray:
-    columns = [wrap(function(at + e) - function(at - e)) / (2 * step) for e in step * np.eye(len(at))]
-    return np.stack(columns, axis=-1)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-9, 1e-3, 0.0099, 0.0101, 0.5, -3.0])
@@ -48,22 +45,18 @@ def test_measurement_jacobian(invariant):
         H[:, :, 0], H[:, :, 1:3] = a_heading, -A
         for k, slot in enumerate(SLOTS):
             H[k, :, 3 + 2 * slot : 5 + 2 * slot] = A[k]
-        numeric = central_difference(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
+        numeric = make.slopes(lambda e, x=x: expected(retracted(x, e, invariant), SLOTS), xi)
         np.testing.assert_allclose(wrap(h - expected(x, SLOTS)), 0.0, atol=1e-12)
         np.testing.assert_allclose(H, numeric, atol=1e-7, rtol=1e-5)
 
 
-def test_same_belief_as_the_dense_twin(kind):
-    pair = Pair(kind, seed=11)
-    for k in range(40):
-        pair.predict(bumper=k % 7 == 0)
-        pair.update(int(pair.rng.integers(1, 6)))
-        if k % 10 == 0:
-            pair.augment(int(pair.rng.integers(1, 4)))
-        np.testing.assert_allclose(wrap(pair.mean - pair.twin.x)[0], 0.0, atol=1e-10)
-        np.testing.assert_allclose(pair.mean[1:], pair.twin.x[1:], atol=1e-9)
-        np.testing.assert_allclose(pair.cov, pair.twin.P, atol=1e-10)
-    pair.augment(60)  # more than the first capacity
-    pair.update(9)
-    assert pair.filter.count > 70
-    np.testing.assert_allclose(pair.cov, pair.twin.P, atol=1e-9)
+@pytest.mark.parametrize("seed", range(3))
+def test_same_belief_as_the_dense_twin(kind, seed):
+    """Whatever happens to both, in any order, and with more landmarks than there was room for at first."""
+    pair = Pair(kind, seed)
+    for step in [*pair.rng.choice(STEPS, 80), "crowd", "update"]:
+        pair.augment(60) if step == "crowd" else pair.live(step)
+        assert pair.ids.tolist() == pair.twin.ids
+        np.testing.assert_allclose(wrap(pair.mean - pair.twin.x)[0], 0.0, atol=1e-9, err_msg=step)
+        np.testing.assert_allclose(pair.mean[1:], pair.twin.x[1:], atol=1e-9, err_msg=step)
+        np.testing.assert_allclose(pair.cov, pair.twin.P, atol=1e-9, err_msg=step)

@@ -1,13 +1,14 @@
 """Dense NumPy reference filters, written from the equations: full F, G, H, Joseph form. Slow and simple."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import expm
 
+from mecp_env.core.carriers import Array, Ints
+from mecp_env.core.se2 import compose
 from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import FilterConfig
+from tests.slam import make
 
-Array = NDArray[np.float64]
 J = np.array([[0.0, -1.0], [1.0, 0.0]])
 
 
@@ -38,14 +39,14 @@ def exp_map(x: Array, xi: Array) -> Array:
 
 
 class Twin:
-    """State x and covariance P of `kind`, order heading, p, l_1, ..."""
+    """State x and covariance P of a filter, order heading, p, l_1, ..."""
 
-    def __init__(self, kind: str, config: FilterConfig) -> None:
-        self.invariant = kind == "riekf"
+    def __init__(self, config: FilterConfig) -> None:
+        self.invariant, self.ids = config.kind == "riekf", list[int]()
         self.slip = np.diag([config.bumper_lateral_sigma_m**2, np.radians(config.bumper_heading_sigma_deg) ** 2])
-        self.x = np.zeros(3)
+        self.x, self.merge_var = np.zeros(3), config.prior_sigma_m**2
         self.P = np.diag([config.prior_sigma_rad**2, config.prior_sigma_m**2, config.prior_sigma_m**2])
-        self.keeps_first, self.first = kind == "fej", self.x  # where Jacobians are taken
+        self.keeps_first, self.first = config.kind == "fej", self.x  # where Jacobians are taken
 
     def at(self) -> Array:
         """The state at which Jacobians are taken."""
@@ -106,8 +107,9 @@ class Twin:
         nu[:, 1] = wrap(nu[:, 1])
         return nu.ravel(), H @ self.P @ H.T + R
 
-    def update(self, z: Array, R: Array, slots: Array, steps: int = 1) -> float:
+    def update(self, z: Array, R: Array, ids: Ints, iterate: bool = False) -> float:
         """Gauss-Newton with the filter's Jacobian at each state; returns the cost."""
+        slots, steps = np.array([self.ids.index(i) for i in ids], np.int64), 20 if iterate else 1
         xi, prior = np.zeros(len(self.x)), self.x
         for _ in range(steps):
             nu, S = self.innovation(z, R, slots)
@@ -116,12 +118,58 @@ class Twin:
             xi = K @ nu
             self.x = prior.copy()
             self.retract(xi)
-        left = np.eye(len(self.x)) - K @ H
-        self.P = left @ self.P @ left.T + K @ R @ K.T  # Joseph form
+        self.join(K, H, R)
         return float(nu @ np.linalg.solve(S, nu))
 
-    def augment(self, z: Array, R: Array) -> None:
+    def join(self, K: Array, H: Array, R: Array) -> None:
+        """P after a correction, in Joseph form."""
+        left = np.eye(len(self.x)) - K @ H
+        self.P = left @ self.P @ left.T + K @ R @ K.T
+
+    def fuse(self, keep: int, drop: int) -> None:
+        """The difference of two landmarks is measured to be zero; nothing says something of the heading."""
+        kept, gone = (slice(3 + 2 * self.ids.index(i), 5 + 2 * self.ids.index(i)) for i in (keep, drop))
+        H, R = np.zeros((2, len(self.x))), self.merge_var * np.eye(2)
+        H[:, kept], H[:, gone] = np.eye(2), -np.eye(2)
+        if self.keeps_first:
+            H[:, 0] = -J @ (self.first[kept] - self.first[gone])
+        K = self.P @ H.T @ np.linalg.inv(H @ self.P @ H.T + R)
+        self.retract(-K @ (self.x[kept] - self.x[gone]))
+        self.join(K, H, R)
+        self.remove(np.array([drop]))
+
+    def remove(self, ids: Ints) -> None:
+        kept = np.isin(self.ids, ids, invert=True)
+        rows = np.concatenate([np.ones(3, np.bool_), np.repeat(kept, 2)])
+        self.x, self.first, self.P = self.x[rows], self.first[rows], self.P[np.ix_(rows, rows)]
+        self.ids = np.array(self.ids)[kept].tolist()
+
+    def set_pose(self, T: Array, cov: Array | None = None) -> None:
+        world = self.world_cov()
+        world[:3], world[:, :3] = 0.0, 0.0
+        world[:3, :3] = 1e-12 * np.eye(3) if cov is None else cov
+        self.x[:3] = self.first[:3] = T[[2, 0, 1]]
+        self.set_world_cov(world)
+
+    def loosen(self, cov: Array) -> None:
+        world = self.world_cov()
+        world[:3, :3] += cov
+        self.set_world_cov(world)
+
+    def shift_pose(self, T: Array) -> None:
+        if not self.invariant:
+            F = self.move_pose(self.x)
+            self.P = F @ self.P @ F.T
+        pose, F = self.x[[1, 2, 0]], np.eye(len(self.x))
+        F[:3, :3] = make.slopes(lambda x: compose(x, T), pose)
+        world = F @ self.world_cov() @ F.T
+        self.x[:3] = compose(pose, T)[[2, 0, 1]]
+        self.first = np.concatenate([self.x[:3], self.first[3:]])
+        self.set_world_cov(world)
+
+    def augment(self, z: Array, R: Array, ids: Ints) -> None:
         n, m = len(self.x), len(z)
+        self.ids += ids.tolist()
         if self.keeps_first:
             F = self.move_pose(self.x)
             self.P = F @ self.P @ F.T
@@ -140,11 +188,17 @@ class Twin:
         self.P = grow @ self.P @ grow.T + noise @ R @ noise.T
         self.x, self.first = np.concatenate([self.x, *new]), np.concatenate([self.first, *new])
 
-    def world_cov(self) -> Array:
-        """P of world coordinates, order x, y, heading, landmarks."""
+    def to_world(self) -> Array:
+        """Derivative of x, y, heading, landmarks by the error."""
         T = np.eye(len(self.x))
         if self.invariant:
-            for i in range(1, len(self.x), 2):
-                T[i : i + 2, 0] = J @ self.x[i : i + 2]
-        order = np.r_[1, 2, 0, 3 : len(self.x)]
-        return (T @ self.P @ T.T)[np.ix_(order, order)]
+            T[1:, 0] = (self.x[1:].reshape(-1, 2) @ J.T).ravel()
+        return T[np.r_[1, 2, 0, 3 : len(self.x)]]
+
+    def world_cov(self) -> Array:
+        """P of world coordinates, order x, y, heading, landmarks."""
+        return self.to_world() @ self.P @ self.to_world().T
+
+    def set_world_cov(self, world: Array) -> None:
+        from_world = np.linalg.inv(self.to_world())
+        self.P = from_world @ world @ from_world.T

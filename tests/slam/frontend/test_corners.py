@@ -113,7 +113,7 @@ def test_a_line_end_is_where_it_is_and_knows_how_well(sensor, sweeps, end):
     for seed in range(150):
         corners, points = corners_of(faces, sensor, seed, sweeps)
         i = at(points, *end, within=0.3)
-        nu = corners.z[i] - np.array([math.hypot(*end), math.atan2(end[1], end[0])])
+        nu = corners.z[i] - make.polar(end)[0]
         nis.append(nu @ np.linalg.solve(corners.R[i], nu))
         errors.append(nu[1])
     assert np.mean(nis) < 2.9
@@ -198,8 +198,6 @@ def test_a_door_is_a_pair_of_jambs_also_over_the_wrap(sensor, angle):
     assert corners.convex[[right, left]].all()
     assert not corners.sites[[right, left]].any()
     assert corners.sites.sum() == 4  # the room's own corners
-    np.testing.assert_array_equal(corners.cov, corners.cov.T)
-    assert np.linalg.eigvalsh(corners.cov).min() > 0.0
 
 
 @pytest.mark.parametrize(
@@ -312,10 +310,9 @@ def test_scans_with_next_to_nothing():
         assert corners.doorways.jambs.shape == (0, 2)
 
 
-def truth_of(corners, points):
+def truth_of(points):
     """z (2n,) of the true corners of ROOM in the order found."""
-    true = np.round(points * 2.0) / 2.0
-    return np.column_stack([np.hypot(*true.T), np.arctan2(true[:, 1], true[:, 0])]).ravel()
+    return make.polar(np.round(points * 2.0) / 2.0).ravel()
 
 
 @pytest.mark.parametrize(("sensor", "sweeps"), [(PAPER, 4), (LMS200, 1)])
@@ -324,7 +321,7 @@ def test_joint_covariance_of_corners_that_share_walls(sensor, sweeps):
     joint, alone, whitened = [], [], []
     for seed in range(300):
         corners, points = corners_of(ROOM, sensor, seed, sweeps)
-        nu = corners.z.ravel() - truth_of(corners, points)
+        nu = corners.z.ravel() - truth_of(points)
         nu[1::2] = (nu[1::2] + math.pi) % (2 * math.pi) - math.pi
         whitened.append(np.linalg.solve(np.linalg.cholesky(corners.cov), nu))
         joint.append(whitened[-1] @ whitened[-1])

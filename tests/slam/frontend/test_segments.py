@@ -20,16 +20,6 @@ def noise_of(range_m, bearing):
     return laser_noise(SensorModel(range_sigma_m=range_m, bearing_sigma_deg=math.degrees(bearing)).record)
 
 
-def test_a_room_has_its_walls_in_order_of_bearing():
-    segments = segments_of(ROOM)
-    by_normal = {round(math.degrees(a) / 90.0) % 4: rho for a, rho in segments.line}
-    assert by_normal == pytest.approx({0: 3.0, 1: 2.0, 2: 2.0, 3: 1.5}, abs=0.02)
-    assert (np.diff(segments.first) > 0).all()
-    assert (segments.first[1:] > segments.last[:-1]).all()
-    points = segments.points
-    assert (points[:, 0, 0] * points[:, 1, 1] > points[:, 0, 1] * points[:, 1, 0]).all()  # counter-clockwise
-
-
 def test_what_is_too_short_or_has_too_few_beams_is_no_segment():
     assert len(segments_of(chain((2.0, -0.1), (2.0, 0.1))).line) == 0
     assert len(segments_of(chain((12.0, -0.2), (12.0, 0.2))).line) == 0

@@ -46,16 +46,14 @@ def plain_merge(scan, sensor):
     sweeps, size = scan.ranges.shape
     ranges, bearings = scan.ranges.T.reshape(size, sweeps), scan.bearings.T.reshape(size, sweeps)
     slope = sensor.merge_slope * (np.ptp(bearings) / (size * sweeps - 1) + sensor.bearing_sigma_rad)
-    kept = []
+    kept, noise = [], sensor.noise_sigmas * sensor.range_sigma_m
     for beam in range(size):
         order = np.argsort(ranges[beam], kind="stable")
         r, b = ranges[beam, order], bearings[beam, order]
-        excess = np.diff(r) - slope * r[:-1] - sensor.noise_sigmas * sensor.range_sigma_m
-        while len(r) > 1 and excess.max() > 0.0:
+        while len(r) > 1 and (excess := np.diff(r) - slope * r[:-1] - noise).max() > 0.0:
             k = int(np.argmax(excess)) + 1
             keep = slice(0, k) if k >= len(r) - k else slice(k, None)
             r, b = r[keep], b[keep]
-            excess = np.diff(r) - slope * r[:-1] - sensor.noise_sigmas * sensor.range_sigma_m
         kept.append((r.mean(), b.mean(), len(r)))
     return np.array(kept).T
 

@@ -14,7 +14,7 @@ from mecp_env.slam.config import GridConfig, SensorModel
 from mecp_env.slam.grid import cells
 from mecp_env.slam.grid.canvas import find_pockets
 from mecp_env.slam.grid.cells import split_outline
-from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor, wall_strips
+from mecp_env.slam.grid.key_scans import free_and_walls, seen_floor
 from mecp_env.slam.messages import Cell, RoomGraph, SemanticGrid
 from tests.slam import make
 from tests.toy import LANDMARKS, Toy, free_iou, labels_at, layer_at, look
@@ -234,13 +234,6 @@ def test_an_edge_of_free_space_may_pass_behind_a_door_where_no_point_of_it_is(re
     angle = np.radians([-20.0, 20.0, 140.0, -140.0])
     outline, door = reach * np.stack([np.cos(angle), np.sin(angle)], axis=1), np.array([[2.0, -0.4], [2.0, 0.4]])
     assert bool(len(split_outline(outline, np.zeros(2), door)[1])) == through
-
-
-def test_the_strip_behind_a_wall_is_as_long_as_the_wall_where_no_other_follows() -> None:
-    strips = np.empty((1, 4, 2))
-    assert wall_strips(np.array([[[2.0, -1.0], [2.0, 1.0]]]), strips, GridConfig().record) == 1
-    np.testing.assert_allclose(strips[0].min(axis=0), [2.0, -1.0])
-    np.testing.assert_allclose(strips[0].max(axis=0), [2.0 + GridConfig().resolution_m, 1.0])
 
 
 def test_beams_that_fit_a_line_are_put_onto_it() -> None:

@@ -8,18 +8,12 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from mecp_env.core.se2 import compose, inverse, wrap_angle
+from mecp_env.core.se2 import wrap_angle
 from mecp_env.slam.association import ignored
 from mecp_env.slam.config import AssociationConfig, FilterConfig, LocalisationConfig
 from mecp_env.slam.filters import make_filter
-from mecp_env.slam.localisation import PoseGuard, agreement, count_ends
-from mecp_env.slam.localisation.relocalisation import (
-    LandmarkIndex,
-    clear_winner,
-    count_distinct,
-    fit,
-    moved,
-)
+from mecp_env.slam.localisation import Evidence, PoseGuard, agreement, count_ends
+from mecp_env.slam.localisation.relocalisation import LandmarkIndex, clear_winner, count_distinct, fit, moved
 from mecp_env.slam.messages import NO_ID, Cell, Decision, Reason
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.slam import make
@@ -28,10 +22,7 @@ from tests.slam.make import evidence
 
 CONFIG, NAN = LocalisationConfig(), math.nan
 REACH_M, PAIRING = 8.0, AssociationConfig()
-
-
-def in_map(drive, T_world_robot):
-    return compose(inverse(drive.T_world_robot[0]), T_world_robot)
+AGREES, CONTRADICTS = evidence(1.0, 1.0), evidence(0.3, 0.1)
 
 
 def agreeing(beams, T_map_robot, grid):
@@ -75,7 +66,7 @@ def test_ends_of_beams_are_counted_as_the_plain_twin_does():
 
 def test_the_map_agrees_at_the_right_pose_and_contradicts_one_a_metre_off(mapped):
     _, output, drive = mapped
-    T_map_robot = in_map(drive, drive.T_world_robot[-1])
+    T_map_robot = drive.T_map_robot[-1]
     right = agreeing(output.beams, T_map_robot, output.grid)
     wrong = agreeing(output.beams, T_map_robot + np.array([0.7, 0.7, 0.3]), output.grid)
     assert right.share > 0.95
@@ -109,29 +100,43 @@ def test_one_scan_is_located_anywhere_in_the_map(mapped):
         if k % 10 == 0:
             found = index.locate(features.corners, features.polygons)
             assert all(len(one.corners) == len(set(one.ids.tolist())) for one in found)
-            hits += bool(found) and off(found[0].T_map_robot, in_map(drive, drive.T_world_robot[k])) < (0.2, 0.1)
+            hits += bool(found) and off(found[0].T_map_robot, drive.T_map_robot[k]) < (0.2, 0.1)
     assert hits >= 0.8 * (len(drive.scans) // 10)
 
 
-def test_a_pose_wins_only_where_no_other_explains_as_much():
-    clear, few, far = make.hypothesis([1, 2, 3, 4, 5, 6]), [11, 12, 13], (5.0, 0.0, 0.0)
-    assert clear_winner([clear], CONFIG) is clear
-    assert clear_winner([clear, make.hypothesis([*few, 14, 15], far, share=0.9)], CONFIG) is None  # one corner fewer
-    assert clear_winner([clear, make.hypothesis(few, far, share=0.9)], CONFIG) is clear
-    surer = clear._replace(share=0.9)
-    assert clear_winner([surer, make.hypothesis(few, far, explained=0.7)], CONFIG) is None  # its beams agree better
-    contradicted = make.hypothesis(few, far, share=0.5, explained=0.7)  # by the map
-    assert clear_winner([surer, contradicted], CONFIG) is surer
-    assert clear_winner([make.hypothesis(few, explained=1.0)], CONFIG) is None  # too few corners
-    assert clear_winner([clear._replace(explained=0.5)], CONFIG) is None
-    assert clear_winner([], CONFIG) is None
+SIX, THREE, FAR = [1, 2, 3, 4, 5, 6], [11, 12, 13], (5.0, 0.0, 0.0)
+CLEAR, FEW = make.hypothesis(SIX), make.hypothesis(THREE, FAR, share=0.9)
+SURER, RIVAL = CLEAR._replace(share=0.9), make.hypothesis(THREE, FAR, explained=0.7)
+TWIN = make.hypothesis(SIX[::-1], (5.0, 0.0, 3.1), recognised=0.6)  # of as many corners
+NEAR = make.hypothesis(THREE, (0.5, 0.0, 0.0), near=True)
+FOUR = make.hypothesis([1, 2, 3, 4], (7.6, 0.0, 0.0), explained=0.74)
+WINNERS = {  # poses that a search finds, and which of them wins
+    "nothing": ([], None),
+    "one": ([CLEAR], 0),
+    "one of too few corners": ([make.hypothesis(THREE, explained=1.0)], None),
+    "one that explains too few beams": ([CLEAR._replace(explained=0.5)], None),
+    "another of one corner fewer": ([CLEAR, make.hypothesis([*THREE, 14, 15], FAR, share=0.9)], None),
+    "another of few corners": ([CLEAR, FEW], 0),
+    "another whose beams agree better": ([SURER, RIVAL], None),
+    "another that the map contradicts": ([SURER, RIVAL._replace(share=0.5)], 0),
+    "a twin that the corners fit worse": ([CLEAR, TWIN], 0),
+    "a twin that they fit as well": ([CLEAR, TWIN._replace(recognised=0.7)], None),
+    "a twin that more beams fit": ([SURER, TWIN], None),
+    "a near one": ([CLEAR, NEAR], 1),
+    "a near one in equal bays": ([CLEAR, NEAR._replace(explained=0.87)], 1),
+    "a near one that explains less": ([CLEAR, NEAR._replace(explained=0.85)], 0),
+    "a near one in a room of nearly the same size": ([CLEAR, NEAR._replace(at=replace(NEAR.at, off=2.0))], 0),
+    "a far one that the corners fit": ([FOUR], 0),
+    # another room of about the same size explains the walls: 4 of 10 corners were enough after a slip
+    "a far one that they do not fit": ([FOUR._replace(recognised=0.4)], None),
+    "a near one that they do not fit": ([FOUR._replace(recognised=0.4, near=True)], 0),
+}
 
 
-def test_of_two_poses_with_as_many_corners_the_one_that_they_fit_wins():
-    right, twin = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([6, 5, 4, 3, 2, 1], (5.0, 0.0, 3.1))
-    assert clear_winner([right, twin._replace(recognised=0.6)], CONFIG) is right
-    assert clear_winner([right, twin._replace(recognised=0.7)], CONFIG) is None
-    assert clear_winner([right._replace(share=0.9), twin._replace(recognised=0.6)], CONFIG) is None  # more beams agree
+@pytest.mark.parametrize("name", WINNERS)
+def test_a_pose_wins_only_where_no_other_explains_as_much(name: str):
+    poses, winner = WINNERS[name]
+    assert clear_winner(poses, CONFIG) is (None if winner is None else poses[winner])
 
 
 @pytest.mark.parametrize(("differs_m", "found"), [(0.0, False), (0.005, False), (0.1, True)])
@@ -169,25 +174,6 @@ def test_what_a_pose_leaves_unexplained_is_counted_in_corners():
     assert (at.misfit, at.off) == pytest.approx((misfit, misfit - 1.0))
 
 
-def test_a_near_pose_that_explains_the_scan_nearly_as_well_wins_against_a_far_one():
-    far, near = make.hypothesis([1, 2, 3, 4, 5, 6]), make.hypothesis([11, 12, 13], (0.5, 0.0, 0.0), near=True)
-    assert clear_winner([far, near], CONFIG) is near
-    nearly = near._replace(explained=0.87)  # in equal bays one explains a few beams more
-    assert clear_winner([far, nearly], CONFIG) is nearly
-    assert clear_winner([far, near._replace(explained=0.85)], CONFIG) is far
-    beside = near._replace(at=replace(near.at, off=2.0))  # in a room of nearly the same size
-    assert clear_winner([far, beside], CONFIG) is far
-
-
-def test_a_far_pose_needs_the_corners_of_the_scan_too():
-    """Another room of about the same size explains the walls: 4 of 10 corners were enough after a slip."""
-    far = make.hypothesis([1, 2, 3, 4], (7.6, 0.0, 0.0), explained=0.74)
-    assert clear_winner([far], CONFIG) is far
-    assert clear_winner([far._replace(recognised=0.4)], CONFIG) is None
-    near = far._replace(recognised=0.4, near=True)
-    assert clear_winner([near], CONFIG) is near
-
-
 def test_beams_and_corners_speak_for_a_pose():
     enough = [(1.0, 1.0), (0.3, 0.9), (0.7, 0.2), (0.9, 0.0), (NAN, 0.2), (NAN, NAN)]  # beams and corners that agree
     few = [(0.3, 0.2), (0.7, 0.0), (NAN, 0.0), (0.3, NAN)]  # or what looks new has nothing in common with the map
@@ -203,8 +189,12 @@ def test_a_least_share_of_zero_turns_the_guard_off():
     assert evidence(0.3, NAN, sharp=False, least=0.0).fits  # and nothing is tried again
 
 
-def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
+@pytest.fixture
+def guard() -> PoseGuard:
+    return PoseGuard(CONFIG, REACH_M, PAIRING)
+
+
+def test_a_pose_that_was_found_does_not_remember_how_it_was_lost(guard):
     guard.lose(anywhere=True)
     guard.trust()
     assert np.isfinite(guard.slack()).all()
@@ -214,8 +204,8 @@ def test_a_pose_that_was_found_does_not_remember_how_it_was_lost():
     ("landmarks", "anywhere", "after"),
     [(3, False, 8), (4, False, 40), (7, False, 40), (8, False, math.inf), (3, True, math.inf)],
 )
-def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int, anywhere: bool, after: float):
-    guard, estimate = PoseGuard(CONFIG, REACH_M, PAIRING), filter_with(landmarks)
+def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(guard, landmarks: int, anywhere: bool, after: float):
+    estimate = filter_with(landmarks)
     guard.lose(anywhere)
     ends = math.isfinite(after)
     resumed = [guard.resumes(estimate, landmarks) for _ in range(int(after) if ends else 200)]
@@ -225,8 +215,8 @@ def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(landmarks: int
     assert sigma_m == pytest.approx(CONFIG.inlier_m if ends else 0.0, abs=2e-3)  # odometry may have failed by so much
 
 
-def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed():
-    guard, estimate = PoseGuard(CONFIG, REACH_M, PAIRING), filter_with(9)
+def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed(guard):
+    estimate = filter_with(9)
     guard.lose()
     metre = make.odometry([1.0, 0.0], (0.01, 0.01))
 
@@ -269,50 +259,44 @@ def test_pairs_that_no_odometry_explains_loosen_the_prediction(share: float, tur
     assert abs(plain.belief().T_map_robot[2] - turned) > 0.015 or turned < 0.1
 
 
-def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(mapped):
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
+def trusted(guard: PoseGuard, *said: Evidence) -> list[bool]:
+    """Whether the pose is trusted after each scan."""
+    return [guard.trusts(one) for one in said]
+
+
+def test_two_scans_in_a_row_that_contradict_the_map_end_the_trust(guard, mapped):
     belief = mapped[1].belief
     assert guard.confidence(belief) > 0.99
-    assert guard.trusts(evidence(1.0, 1.0))
-    assert not guard.trusts(evidence(0.3, 0.1))
+    assert trusted(guard, AGREES, CONTRADICTS, AGREES, CONTRADICTS) == [True, False, True, False]
     assert guard.localised
-    assert guard.trusts(evidence(1.0, 1.0))
-    for _ in range(2):
-        assert not guard.trusts(evidence(0.3, 0.1))
+    assert trusted(guard, CONTRADICTS) == [False]
     assert not guard.localised
     assert guard.confidence(belief) < 0.01
-    assert not guard.trusts(evidence(1.0, 1.0))  # only a search ends it
+    assert trusted(guard, AGREES) == [False]  # only a search ends it
 
 
-def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up():
+@pytest.mark.parametrize(("vouched", "after"), [(20, 1), (0, 4)])
+def test_a_track_that_is_unbroken_since_the_pose_was_sure_is_not_given_up(guard, vouched: int, after: int):
     """A map that is bent or a wall that was moved contradicts it; a track that began elsewhere is a carried robot's."""
-    broken = evidence(0.3, 0.1, tracked=True)
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
-    assert all(guard.trusts(broken._replace(vouched=True)) for _ in range(20))
-    assert not guard.trusts(broken)
-    assert not guard.localised
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
-    assert not any(guard.trusts(broken) for _ in range(3))
+    broken = CONTRADICTS._replace(tracked=True)
+    assert all(trusted(guard, *[broken._replace(vouched=True)] * vouched))
+    assert not any(trusted(guard, *[broken] * (after - 1)))
     assert guard.localised
     assert not guard.trusts(broken)
     assert not guard.localised
 
 
-def test_a_doubt_stays_until_something_speaks_for_the_pose():
+def test_a_doubt_stays_until_something_speaks_for_the_pose(guard):
     """Of two known corners beyond the mapped floor it is unknown where they were seen from."""
-    guard, silent = PoseGuard(CONFIG, REACH_M, PAIRING), evidence(NAN, NAN)
-    assert guard.trusts(silent)
-    assert not guard.trusts(evidence(0.3, 0.1))
-    assert not any(guard.trusts(silent) for _ in range(10))
+    silent = evidence(NAN, NAN)
+    assert trusted(guard, silent, CONTRADICTS, *[silent] * 10) == [True] + [False] * 11
     assert guard.localised
-    assert guard.trusts(evidence(NAN, 1.0))
-    assert guard.trusts(silent)
-    assert not guard.trusts(evidence(0.3, 0.1))
-    assert guard.trusts(evidence(NAN, 0.2))  # a few recognised corners beyond the mapped floor say something
+    some = evidence(NAN, 0.2)  # a few recognised corners beyond the mapped floor say something
+    assert trusted(guard, evidence(NAN, 1.0), silent, CONTRADICTS, some) == [True, True, False, True]
 
 
-def test_confidence_falls_with_the_covariance_of_the_position(mapped):
-    guard, belief = PoseGuard(CONFIG, REACH_M, PAIRING), mapped[1].belief
+def test_confidence_falls_with_the_covariance_of_the_position(guard, mapped):
+    belief = mapped[1].belief
     before = guard.confidence(belief)
     assert guard.trusts(evidence(NAN, 0.2))  # nothing is mapped there
     assert guard.confidence(belief) == before
@@ -324,11 +308,8 @@ def test_confidence_falls_with_the_covariance_of_the_position(mapped):
     ("share", "sudden", "off_m", "same"),
     [(1.0, False, 0.05, True), (1.0, False, 0.2, False), (1.0, True, 0.05, False), (0.7, False, 0.05, False)],
 )
-def test_a_corner_more_at_the_same_place_is_no_sign_of_failed_odometry(
-    share: float, sudden: bool, off_m: float, same: bool
-) -> None:
+def test_a_corner_more_at_the_same_place_is_no_sign_of_failed_odometry(guard, share, sudden, off_m, same) -> None:
     one, other = make.belief((3.0, 2.0, 3.1)), make.belief((3.0, 2.0 + off_m, -3.1))
-    guard = PoseGuard(CONFIG, REACH_M, PAIRING)
     assert guard.is_same(evidence(share, 0.5, sudden=sudden), one, other) == same
     assert not guard.is_same(evidence(1.0, 0.5), one, make.belief((3.0, 2.0, 2.9)))
 
@@ -340,7 +321,7 @@ def way_back(drive, error):
         taken = drive.odometry[k if n == 0 else k + 1]
         increments = np.ascontiguousarray(-taken.increments[::-1]) * (n > 0)
         increments[0] += error if n == 0 else 0.0
-        yield replace(taken, increments=increments), drive.scans[k], in_map(drive, drive.T_world_robot[k])
+        yield replace(taken, increments=increments), drive.scans[k], drive.T_map_robot[k]
 
 
 @pytest.mark.parametrize("error", [(0.1, math.radians(7.0)), (-1.0, math.radians(20.0))])  # with the first, beams fit
@@ -367,7 +348,7 @@ def test_a_robot_carried_to_the_other_room_is_noticed_and_found(mapped):
     assert min(output.confidence for output in trace[:10]) < 0.5
     assert not all(output.localised for output in trace)
     assert trace[-1].localised
-    assert off(trace[-1].belief.T_map_robot, in_map(drive, drive.T_world_robot[step + 14])) < (0.1, 0.05)
+    assert off(trace[-1].belief.T_map_robot, drive.T_map_robot[step + 14]) < (0.1, 0.05)
     last = max(k for k, output in enumerate(trace) if not output.localised)
     assert trace[last + 1].graph.current != trace[0].graph.current  # in the room that it is found in
     searching = [output for output in trace if not output.localised]

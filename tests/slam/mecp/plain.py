@@ -39,6 +39,16 @@ def convex_rings(points):
                 yield tuple(ring)
 
 
+def is_empty_around(points, ring, robot):
+    """Whether the robot, and no point, lies in the open ring."""
+    sides = [(points[a], points[b]) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)]
+
+    def inside(p):
+        return all(cross(b - a, p - a) > 0 for a, b in sides)
+
+    return inside(robot) and not any(map(inside, points))
+
+
 def blocks(s, a, b, tolerance):
     """Whether site s lies in the closed sector from a to b, more than `tolerance` left of the edge."""
     depth = cross(b - a, s - a) / np.hypot(*(b - a))

@@ -3,10 +3,10 @@
 import numpy as np
 import shapely
 
+from mecp_env.core.se2 import to_robot
 from mecp_env.slam.messages import CornerKind
-from tests.slam import make
+from tests.slam import make, scans
 from tests.slam.make import MIDDLES
-from tests.slam.scans import cast
 
 ROOMS = {
     "rectangle": [(0, 0), (6, 0), (6, 4), (0, 4)],
@@ -21,34 +21,31 @@ BOX = [(2.6, 1.3), (2.6, 2.1), (3.4, 2.1), (3.4, 1.3)]
 
 def walls_of(*rings):
     """Faces (S,2,2) of closed rings."""
-    return np.concatenate([np.stack([np.asarray(r, float), np.roll(np.asarray(r, float), -1, 0)], 1) for r in rings])
+    return np.concatenate([scans.ring(*points) for points in rings])
 
 
 def sees(walls, origin, points):
     """(n,) whether nothing lies between origin and each point; touching a corner does not count."""
     offset = points - origin
-    return cast(walls - origin, np.arctan2(offset[:, 1], offset[:, 0])) > np.hypot(*offset.T) - 1e-6
+    return scans.cast(walls - origin, np.arctan2(offset[:, 1], offset[:, 0])) > np.hypot(*offset.T) - 1e-6
 
 
 def beams_of(walls, pose, rng=None, sigma=0.0):
     """The beams of a scan at pose (3,)."""
-    ranges = cast(walls - pose[:2], MIDDLES + pose[2])
+    ranges = scans.cast(walls - pose[:2], MIDDLES + pose[2])
     noise = 0.0 if rng is None else rng.normal(0, sigma, 720)
     return make.beams(np.minimum(ranges + noise, make.MAX_RANGE_M), MIDDLES, ranges < make.MAX_RANGE_M)
 
 
-def corners_of(points, pose, *, sigma=0.005, kinds=None, doors=()):
+def corners_of(points, pose, *, kinds=None, doors=()):
     """Corners at the points (n,2) of the world, in order of bearing; doors are pairs of indices of points."""
-    offset = np.asarray(points, float).reshape(-1, 2) - pose[:2]
-    bearing = np.mod(np.arctan2(offset[:, 1], offset[:, 0]) - pose[2] + np.pi, 2 * np.pi) - np.pi
-    order = np.argsort(bearing)
-    z = np.column_stack([np.hypot(*offset.T), bearing])[order]
-    n = len(z)
-    spread = np.column_stack([np.full(n, sigma), sigma / z[:, 0]]).ravel()
+    z = make.polar(to_robot(pose, np.array(points, float).reshape(-1, 2)))
+    order, n = np.argsort(z[:, 1]), len(z)
+    z = z[order]
+    sigmas = 0.005 * np.column_stack([np.ones(n), 1.0 / z[:, 0]]).ravel()
     kind = np.full(n, CornerKind.CROSSING) if kinds is None else np.asarray(kinds)[order]
     gaps = make.doorways(np.argsort(order)[np.array(doors, np.int64)])
-    marks = {"kind": kind, "normals": np.nan, "sites": kind != CornerKind.JAMB}
-    return make.corners(z, cov=np.diag(spread**2), gaps=gaps, **marks)
+    return make.corners(z, cov=np.diag(sigmas**2), gaps=gaps, kind=kind, normals=np.nan, sites=kind != CornerKind.JAMB)
 
 
 def poses_in(ring, count, rng, holes=(), margin=0.25):
@@ -59,12 +56,6 @@ def poses_in(ring, count, rng, holes=(), margin=0.25):
         if floor.contains(shapely.Point(p)):
             found.append(np.array([*p, rng.uniform(-np.pi, np.pi)]))
     return found
-
-
-def to_world(pose, z):
-    """Points (n,2) in the world of ranges and bearings (n,2) measured at pose."""
-    angle = z[:, 1] + pose[2]
-    return pose[:2] + z[:, :1] * np.column_stack([np.cos(angle), np.sin(angle)])
 
 
 def wall_inside(walls, ring):

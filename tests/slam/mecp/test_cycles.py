@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from functools import partial
 
 import numpy as np
 import pytest
@@ -11,22 +12,9 @@ from mecp_env.slam.mecp.cycles import best_cycles, largest_cycle, order_by_beari
 from mecp_env.slam.mecp.polygons import best_free_cycles, edge_between, edge_is_cut, passing_intervals
 from tests.slam import make
 from tests.slam.make import MIDDLES
-from tests.slam.mecp.plain import (
-    allowed_rings,
-    cross,
-    plain_visible_edges,
-    random_sites,
-    twice_area,
-)
+from tests.slam.mecp.plain import allowed_rings, cross, plain_visible_edges, random_sites, twice_area
 
 LIMITS = PolygonConfig().record[0]
-
-
-def plain_best_rings(points, tolerance):
-    """All largest polygons around the origin, by definition: larger area first."""
-    rings = list(allowed_rings(points, tolerance))
-    most = max(map(len, rings), default=0)
-    return sorted((r for r in rings if len(r) == most), key=lambda ring: (-twice_area(points, ring), ring))
 
 
 def test_order_by_bearing_is_the_order_of_atan2_with_the_nearer_point_of_a_ray_first():
@@ -46,19 +34,28 @@ def test_visible_edges_are_those_whose_triangle_is_empty(tolerance):
         np.testing.assert_array_equal(visible_edges(points, tolerance), plain_visible_edges(points, tolerance))
 
 
+def rings_of(found):
+    """The rings of a search as tuples."""
+    return [tuple(ring[:size].tolist()) for size, ring in zip(*found, strict=True) if size]
+
+
 @pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
-@pytest.mark.parametrize("keep", [1, 4])
-def test_best_cycles_are_the_best_by_definition(tolerance, keep):
-    rng = np.random.default_rng(3)
-    for _ in range(80):
-        points = random_sites(rng, rng.integers(3, 9), tolerance)
-        sizes, rings = best_cycles(points, visible_edges(points, tolerance), tolerance, keep)
-        expected = plain_best_rings(points, tolerance)[:keep]
-        assert sizes.tolist() == [len(ring) for ring in expected] + [0] * (keep - len(expected))
-        areas = [twice_area(points, tuple(ring[:size])) for ring, size in zip(rings, sizes, strict=True) if size]
-        np.testing.assert_allclose(areas, [twice_area(points, ring) for ring in expected])
-        if tolerance:  # no ties of area
-            assert [tuple(r[:s]) for r, s in zip(rings, sizes, strict=True) if s] == expected
+def test_best_cycles_are_the_best_by_definition(tolerance):
+    """Those of most vertices, the larger ones first; and the largest one, however many vertices it has."""
+    rng, differs = np.random.default_rng(3), 0
+    for n in (*rng.integers(0, 9, 150), 11, 12):
+        points = random_sites(rng, n, tolerance)
+        allowed, area = visible_edges(points, tolerance), partial(twice_area, points)
+        rings = sorted(allowed_rings(points, tolerance), key=area, reverse=True)
+        best = [ring for ring in rings if len(ring) == max(map(len, rings))]
+        found = {keep: rings_of(best_cycles(points, allowed, tolerance, keep)) for keep in (1, 4, 200)}
+        largest = rings_of(largest_cycle(points, allowed, tolerance))
+        assert sorted(found[200]) == sorted(best)
+        for some, expected in ((largest, rings[:1]), *((found[keep], best[:keep]) for keep in found)):
+            assert list(map(area, some)) == pytest.approx(list(map(area, expected)))
+            assert not tolerance or some == expected  # no ties of area
+        differs += largest != found[1]
+    assert differs > 5
 
 
 def edge_of(a, b, tolerance, beams):
@@ -169,26 +166,6 @@ def test_the_lazy_check_finds_what_forbidding_all_cut_edges_first_finds(by_area)
             for edges in (free, allowed)
         )
         found = best_free_cycles(points, sigmas, view, LIMITS, by_area)
-        rings = [
-            [ring[:size].tolist() for size, ring in zip(*one, strict=True)] for one in (found, expected, unchecked)
-        ]
-        assert rings[0] == rings[1]
-        resolved += rings[1] != rings[2]
+        assert rings_of(found) == rings_of(expected)
+        resolved += rings_of(expected) != rings_of(unchecked)
     assert resolved > 50
-
-
-@pytest.mark.parametrize("tolerance", [0.0, 0.05, 0.4])
-def test_the_largest_cycle_is_the_largest_by_definition(tolerance):
-    rng, differs = np.random.default_rng(3), 0
-    for n in (*rng.integers(0, 9, 150), 11, 12):
-        points = random_sites(rng, n, tolerance)
-        allowed = visible_edges(points, tolerance)
-        sizes, rings = largest_cycle(points, allowed, tolerance)
-        expected = sorted(((twice_area(points, ring), ring) for ring in allowed_rings(points, tolerance)), reverse=True)
-        found = tuple(rings[0][: sizes[0]])
-        assert bool(found) == bool(expected)
-        assert twice_area(points, found) == pytest.approx(expected[0][0] if expected else 0.0)
-        if tolerance and expected:  # no ties of area
-            assert found == expected[0][1]
-            differs += sizes[0] < best_cycles(points, allowed, tolerance, 1)[0][0]
-    assert not tolerance or differs > 5

@@ -5,9 +5,8 @@ import itertools
 import numpy as np
 import pytest
 
-from mecp_env.slam.mecp.dobkin import rings_around, star, visible_from
-from tests.slam.mecp.plain import convex_rings, twice_area
-from tests.slam.mecp.test_polygons import is_empty_around
+from mecp_env.slam.mecp.dobkin import rings_around
+from tests.slam.mecp.plain import convex_rings, is_empty_around, twice_area
 
 ROBOT = np.zeros(2)
 
@@ -46,17 +45,3 @@ def test_the_search_is_exact_among_the_leftmost_vertices_that_the_rule_leaves(by
             assert (*ring.vertices[first:], *ring.vertices[:first]) in rings
             assert ring.vertices[0] == leftmost(points, ring.vertices)
             assert ring.area == pytest.approx(twice_area(points, tuple(ring.vertices)))
-
-
-def test_visible_edges_are_those_with_an_empty_triangle():
-    rng = np.random.default_rng(4)
-    for _ in range(60):
-        sites = [tuple(p) for p in rng.uniform(-1.0, 1.0, (12, 2)).tolist()]
-        p = min(range(12), key=lambda i: sites[i])
-        fan = [sites[i] for i in star(sites, p)]
-        incoming = visible_from(sites[p], fan)
-        for i, j in itertools.combinations(range(len(fan)), 2):
-            corners = sites[p], fan[i], fan[j]
-            sides = list(itertools.pairwise([*corners, corners[0]]))
-            blocked = any(all(left(a, b, q) for a, b in sides) for q in fan if q not in corners)
-            assert (i in incoming[j]) == (not blocked)

@@ -1,4 +1,4 @@
-"""The search for the largest empty convex polygons around a point, against vectors and brute force."""
+"""The search for the largest empty convex polygons around a point, against vectors of an exhaustive search."""
 
 import json
 import math
@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from mecp_env.slam.mecp.cycles import best_cycles, order_by_bearing, visible_edges
-from tests.slam.mecp.plain import convex_rings, cross, twice_area
 
 VECTORS = json.loads((Path(__file__).parents[2] / "data" / "empty_convex_polygons.json").read_text())["vectors"]
 AROUND = [v for v in VECTORS if v["mode"] == "open" and v["robot"] is not None and not v["robot_on_edge"]]
@@ -35,31 +34,6 @@ def test_vectors_of_mode_open_hold(vector):
     assert len(found) == len(set(found)) == vector["n_optimal"]
     assert {len(ring) for ring in found} == ({vector["expected"]} if found else set())
     assert expected <= set(found) if vector["optimal_truncated"] else expected == set(found)
-
-
-def is_empty_around(points, ring, robot):
-    """Whether the robot, and no point, lies in the open ring."""
-    sides = [(points[a], points[b]) for a, b in zip(ring, ring[1:] + ring[:1], strict=True)]
-
-    def inside(p):
-        return all(cross(b - a, p - a) > 0 for a, b in sides)
-
-    return inside(robot) and not any(map(inside, points))
-
-
-@pytest.mark.parametrize("span", [2, 4, 12, 1000])
-def test_brute_force_agrees_on_random_sets_with_ties_collinear_points_and_duplicates(span):
-    rng, robot = np.random.default_rng(span), np.array([span / 2 + 0.25, span / 2])
-    for _ in range(100):
-        points = rng.integers(0, span + 1, (rng.integers(3, 9), 2)) + 0.0
-        distinct = np.unique(points, axis=0)
-        rings = [ring for ring in convex_rings(distinct) if is_empty_around(distinct, ring, robot)]
-        most = max(map(len, rings), default=0)
-        expected = {frozenset(map(tuple, distinct[list(ring)].tolist())) for ring in rings if len(ring) == most}
-        found = largest_around(points, robot, 200)
-        assert {frozenset(map(tuple, points[list(ring)].tolist())) for ring in found} == expected
-        areas = [twice_area(points, ring) for ring in found]
-        assert areas == sorted(areas, reverse=True)
 
 
 @pytest.mark.parametrize("turn", np.linspace(0.0, 2 * np.pi, 9))

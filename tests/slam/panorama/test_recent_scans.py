@@ -51,12 +51,6 @@ def test_the_window_is_as_long_as_configured(drive):
     assert sorted(marks) == sorted(pipeline.filter.slot_ids[pipeline.filter.slot_ids < -1].tolist())
 
 
-@pytest.fixture
-def at_the_end(runs):
-    """A pipeline at the end of the drive."""
-    return copy.deepcopy(runs[-1][0])
-
-
 def test_a_full_view_has_a_window_only_while_scans_show_few_corners():
     short = scripted_drive(seed=3, max_range_m=3.0)
     runs = [(output, len(pipeline.recent.scans)) for pipeline, output, *_ in short.run(SlamConfig())]
@@ -74,9 +68,10 @@ def test_the_error_is_as_large_as_the_covariance_says():
     assert np.mean(nees) < 4.0
 
 
-def test_a_robot_that_is_carried_maps_nothing_at_the_wrong_place(drive, at_the_end):
+def test_a_robot_that_is_carried_maps_nothing_at_the_wrong_place(drive, runs):
     """Its second scan there is registered with the first, which says nothing of where both are."""
-    pipeline, features = at_the_end, len(at_the_end.map.features)
+    pipeline = copy.deepcopy(runs[-1][0])
+    features = len(pipeline.map.features)
     for step in range(5, 9):
         output = pipeline.step(drive.odometry[step], drive.scans[step])
         assert pipeline.recent.registered is not None or step == 5

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from mecp_env.core.se2 import inverse, to_map, wrap_angle
+from mecp_env.core.se2 import to_map, wrap_angle
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.panorama import registration
 from mecp_env.slam.panorama.registration import (
@@ -15,26 +15,18 @@ from mecp_env.slam.panorama.registration import (
     align,
     count_against,
     index_of,
-    nearest,
     register,
     surfaces_of,
 )
 from tests.slam import make
 from tests.slam.frontend.make import PAPER, front_end, on_walls
-from tests.slam.scans import ring, take_scan
+from tests.slam.scans import moved, ring, take_scan
 
 CONFIG = SlamConfig()
 LIMITS = RegistrationLimits.of(CONFIG)
 ROOM = ring((-2.0, -1.5), (3.0, -1.5), (3.0, 0.5), (4.0, 0.5), (4.0, 2.5), (-2.0, 2.5))
 CORRIDOR = np.array([[[-60.0, -1.0], [60.0, -1.0]], [[60.0, 1.0], [-60.0, 1.0]]])
 PRIOR = np.diag([0.2, 0.2, 0.2]) ** 2
-
-
-def moved(faces, T):
-    """The faces in the frame of a robot at T."""
-    x, y, heading = inverse(np.asarray(T, float))
-    c, s = math.cos(heading), math.sin(heading)
-    return faces @ np.array([[c, s], [-s, c]]) + [x, y]
 
 
 def surfaces_and_beams(faces, seed, max_range_m=30.0):
@@ -121,18 +113,6 @@ def test_a_registration_is_sound_when_nearly_all_points_agree_or_most_do_and_the
         assert found.is_sound((np.zeros(3), PRIOR), LIMITS) == sound
 
 
-@pytest.mark.parametrize("seed", range(4))
-def test_the_nearest_point_is_that_of_a_search_of_all(seed):
-    rng = np.random.default_rng(seed)
-    scale = rng.choice([0.3, 4.0, 60.0])
-    points = scale * rng.normal(size=(rng.integers(2, 400) if seed else 1, 2))
-    index, reach = index_of(points), float(rng.uniform(0.01, 0.5) * scale)
-    for x, y in 1.3 * scale * rng.normal(size=(200, 2)):
-        far = np.hypot(points[:, 0] - x, points[:, 1] - y)
-        found = nearest(points, index, x, y, reach)
-        assert found == (int(np.argmin(far)) if far.min() < reach else -1)
-
-
 def surfaces(rng, count):
     """Points on the walls of a room with their normals, every fifth on no flat surface."""
     along, side = rng.uniform(-2.0, 2.0, count), rng.integers(0, 4, count)
@@ -187,14 +167,6 @@ def test_alignment_is_that_of_the_plain_twin(seed):
     assert np.allclose(information, expected[1], rtol=1e-4, atol=1e-4 * information.max())
     assert np.flatnonzero(meets).tolist() == expected[2].tolist()
     assert np.allclose(T, motion, atol=0.02)
-
-
-def test_with_too_few_pairs_none_is_paired():
-    rng = np.random.default_rng(0)
-    past, now = surfaces(rng, 100), surfaces(rng, 30)
-    start = np.array([9.0, 0.0, 0.0])
-    _, _, meets = align(past, index_of(past[0]), now, start, (start, np.eye(3)), (0.5, 0.05), (0.7, 10))
-    assert not meets.any()
 
 
 def test_points_on_floor_that_was_seen_free_are_counted():
