@@ -8,8 +8,7 @@ only imports, such as a connection that closes a file when it goes, is not made.
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from enum import Enum
@@ -251,26 +250,14 @@ def name_of(cls: type) -> str:
     return name
 
 
-def module_with(cls: str) -> str:
-    """The loaded module, among those whose objects a state holds, that defines the class. Raises `ImportError`."""
-    for name, module in list(sys.modules.items()):
-        if name.startswith(PACKAGES) and getattr(vars(module).get(cls), "__module__", None) == name:
-            return name
-    raise ImportError(cls)
-
-
 def class_of(name: str, base: type) -> Any:
-    """The class `module:Class` of this package, or the one admitted, below `base`. Raises `StateError`.
-
-    A class of an older file is found by its name where its module is no more.
-    """
+    """The class `module:Class` of this package, or the one admitted, below `base`. Raises `StateError`."""
     module, _, cls = str(name).partition(":")
     if name in ADMITTED and issubclass(ADMITTED[name], base):
         return ADMITTED[name]
     if not module.startswith(PACKAGES):
         raise StateError(f"state: {name!r:.80} is not a class of {PACKAGE} that a state holds")
     try:
-        module = module if importlib.util.find_spec(module) else module_with(cls)
         found = getattr(importlib.import_module(module), cls)
     except (ImportError, AttributeError):
         raise StateError(f"state: there is no class {name!r:.80}") from None
