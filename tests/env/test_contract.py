@@ -13,6 +13,7 @@ from gymnasium.utils.env_checker import check_env, data_equivalence
 import mecp_env
 from mecp_env.config import EnvConfig
 from mecp_env.core.errors import ConfigError
+from mecp_env.render import window
 from mecp_env.world.layout import load_layout
 from mecp_env.wrappers import GoalActions
 from tests.env.helpers import IDS, NEEDED, SMALL, below, make, started
@@ -75,11 +76,11 @@ def test_observations_stay_in_their_space_and_info_keeps_its_form(actions, parts
 
 @pytest.mark.parametrize("actions", ["velocity", "goal"])
 def test_info_is_numbers_alone_where_texts_are_left_out(actions):
-    env = make(actions=actions, info_texts=False, max_steps=40)
+    env = make(actions=actions, info_texts=False)
     _, first = env.reset(seed=3)
     *_, info = env.step(env.action_space.sample())
     assert all(np.asarray(value).dtype.kind in "biuf" for value in (first | info).values())
-    assert form(make(actions=actions, max_steps=40).reset(seed=3)[1] | {"event": ""}) == form(first | {"event": ""})
+    assert form(make(actions=actions).reset(seed=3)[1] | {"event": ""}) == form(first | {"event": ""})
 
 
 def budget_in(seen):
@@ -134,19 +135,7 @@ def test_the_paper_map_takes_no_other_layout():
             gymnasium.make("mecp_env/PaperMap-v0", **keywords)
 
 
-def test_a_frame_is_a_picture():
-    env = make(render_mode="rgb_array")
-    env.reset(seed=1)
-    frame = env.render()
-    assert (frame.dtype, frame.ndim, frame.shape[2]) == (np.uint8, 3, 3)
-    assert frame.std() > 0
-    env.step(np.ones(2, np.float32))
-    assert not np.array_equal(frame, env.render())
-
-
 def test_human_mode_draws_itself_and_warns_once_without_a_display(monkeypatch, caplog):
-    from mecp_env.render import window
-
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     monkeypatch.setattr(window, "is_unseen", lambda driver: driver == "dummy")
     window.warn_unseen.cache_clear()
