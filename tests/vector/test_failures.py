@@ -72,7 +72,7 @@ def test_no_worker_is_left_however_the_process_ends_that_it_works_for(end: Any, 
     assert gone_within(pids, SOON_S)
 
 
-@pytest.mark.parametrize(("killed", "work"), [(0, "step"), (1, "step"), (1, "send"), (1, "")])
+@pytest.mark.parametrize(("killed", "work"), [(0, "step"), (1, "send"), (1, "")])
 def test_a_worker_killed_is_named_though_others_are_busy_and_nothing_is_left(killed: int, work: str) -> None:
     venv = make_small(wrappers=(Slow,) if work else ())
     venv.reset(seed=1)
@@ -102,9 +102,8 @@ def test_workers_obey_though_the_process_that_they_work_for_does_not() -> None:
     venv.reset(seed=1)
     pids = venv.pids
     venv.step_async(STILL)
-    for process in multiprocessing.active_children():
-        if process.pid in pids:
-            process.terminate()
+    for pid in pids:
+        os.kill(pid, signal.SIGTERM)
     assert gone_within(pids, SOON_S)
 
 
@@ -136,13 +135,6 @@ def test_closing_in_the_middle_of_a_step_is_quiet_and_does_not_wait(monkeypatch:
         venv.close()
         assert time.monotonic() - start < 3.5
         assert gone_within(pids, 0.0)
-
-
-def test_a_batch_that_nobody_holds_closes_itself() -> None:
-    venv = make_small()
-    pids = venv.pids
-    del venv
-    assert gone_within(pids, SOON_S)
 
 
 def test_a_worker_process_may_not_start_others_which_a_single_environment_does_not_need() -> None:
@@ -185,14 +177,16 @@ def test_workers_have_all_functions_from_the_start(context: str) -> None:
     assert after == before
 
 
-def test_batches_leave_no_files_and_no_processes_behind() -> None:
-    def once() -> int:
+def test_batches_leave_no_files_and_no_processes_behind_not_even_one_that_is_only_let_go() -> None:
+    def once(closed: bool = True) -> int:
         venv = make_small()
         venv.reset(seed=0)
-        venv.close()
+        if closed:
+            venv.close()
+        del venv
         return len(list(Path("/proc/self/fd").iterdir()))
 
     once()
     before = once()
-    assert [once() for _ in range(5)] == [before] * 5
+    assert [once(closed=k > 1) for k in range(4)] == [before] * 4
     assert not [child for child in multiprocessing.active_children() if child.name.startswith("mecp_env")]
