@@ -179,13 +179,9 @@ def test_a_robot_that_rolls_on_does_not_turn_into_a_corner() -> None:
 
 def test_a_robot_that_got_stuck_passes_a_gap_hardly_wider_than_itself() -> None:
     """It had come into a KTH room through one, and gave up one goal after another there: 60 drives of 60 steps."""
-    half, narrow = BODY.radius_m + 0.6 * CONTROL.guard_m, 0.9 * BODY.radius_m
-    for gap, control, moves in (
-        (half, CONTROL, False),
-        (half, squeezed(CONTROL), True),
-        (narrow, squeezed(CONTROL), False),
-    ):
-        posts = np.array([[0.1, gap], [0.1, -gap]])
+    half, stuck = BODY.radius_m + 0.6 * CONTROL.guard_m, squeezed(CONTROL)
+    for aside, control, moves in ((half, CONTROL, False), (half, stuck, True), (0.9 * BODY.radius_m, stuck, False)):
+        posts = np.array([[0.1, aside], [0.1, -aside]])
         assert (safe_command(0.5, 0.0, posts, control.record, BODY.record)[0] > 0.0) == moves
 
 
