@@ -21,7 +21,7 @@ def test_a_film_has_bounded_length_and_even_spacing(steps: int) -> None:
     for step in range(steps):
         film.offer(step, lambda step=step: drawn.append(step) or np.full((1, 1, 3), step % 256, np.uint8))
     assert 1 < len(film) <= 20
-    assert set(np.diff([int(f[0, 0, 0]) for f in (film[row] for row in range(len(film)))]) % 256) == {film.every % 256}
+    assert set(np.diff([int(film[row][0, 0, 0]) for row in range(len(film))]) % 256) == {film.every % 256}
     assert len(drawn) < 20 * 2 + 20 * np.log2(max(steps, 2))
 
 

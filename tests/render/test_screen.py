@@ -26,9 +26,7 @@ def share(frame: np.ndarray, colour: palette.RGB) -> float:
 def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
     screen = Screen(800, 400)
     frame = screen.frame(scene.view())
-    assert frame.shape == (400, 800, 3)
-    assert frame.dtype == np.uint8
-    assert frame.flags.c_contiguous
+    assert (frame.shape, frame.dtype, frame.flags.c_contiguous) == ((400, 800, 3), np.uint8, True)
     left, right = frame[:, :400], frame[:, 400:]
     assert share(left, palette.FREE) > 0.05
     assert share(left, palette.SOLID) > 0.01
@@ -85,8 +83,7 @@ def test_the_grid_lies_where_the_world_is_with_rows_upwards() -> None:
 
 def test_a_thumbnail_shows_the_belief_below_two_lines_of_text() -> None:
     picture = thumbnail(scene.view(), (320, 260), "nearest", "12 s    3 m    40% seen")
-    assert picture.shape == (260, 320, 3)
-    assert picture.dtype == np.uint8
+    assert (picture.shape, picture.dtype) == ((260, 320, 3), np.uint8)
     text, belief = picture[:SMALL_HEADER], picture[SMALL_HEADER:]
     assert share(text, palette.PAPER) > 0.7
     assert 0.005 < np.mean(text < 200) < 0.3
