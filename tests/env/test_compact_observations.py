@@ -16,9 +16,8 @@ from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, make, until_over
+from tests.env.helpers import drive, make, until_over
 
-FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
 GOAL_NAMES += ("sigma_m", "sigma_rad", "gain")
 STEPS = 25
@@ -212,14 +211,3 @@ def test_goals_are_where_the_image_shows_them() -> None:
         *((row, column) for row in (31, 32, 33) for column in (21, 22, 23)),  # 4 m to the left
         *((row, column) for row in (62, 63) for column in (62, 63)),  # in the last corner, behind on the right
     }
-
-
-@pytest.mark.parametrize(("name", "observation"), [(name, list(FORMATS)[k % 2]) for k, name in enumerate(IDS)])
-def test_every_id_takes_a_format_as_word_and_as_setting(name: str, observation: str) -> None:
-    short = gymnasium.make(name, observation=observation, **NEEDED.get(name, {}))
-    long = gymnasium.make(name, config={"observation": {"format": observation}}, **NEEDED.get(name, {}))
-    assert short.unwrapped.config.to_dict() == long.unwrapped.config.to_dict()
-    uncertain = short.unwrapped.config.observation.uncertainty  # a word keeps the other settings of a task
-    assert uncertain == ("Active" in name)
-    assert short.observation_space.shape == ((421,) if uncertain and observation == "flat" else FORMATS[observation])
-    assert gymnasium.make(short.spec).observation_space == short.observation_space

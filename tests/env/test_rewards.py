@@ -1,7 +1,6 @@
 """Each term of the reward: formula and unit, more reward for better results, none for detours."""
 
 from itertools import pairwise
-from typing import Any
 
 import gymnasium
 import numpy as np
@@ -22,14 +21,11 @@ from mecp_env.episode.potentials import (
     start_metrics,
 )
 from mecp_env.episode.rewards import (
-    TERMS,
     RewardMemory,
-    apply_weights,
     events,
     information,
     measured_terms,
     new_memory,
-    weights_of,
 )
 from mecp_env.slam.messages import Cell
 from tests.env.helpers import drive, episode_of, make, started, until_over, world_of
@@ -64,9 +60,9 @@ def test_quantities_in_their_units():
         moment(known=10, version=1, pose=4e-4, landmarks=(0.04, 0.01)),
         moment(known=30, version=2, pose=1e-4, landmarks=(0.01, 0.01)),
     )
-    assert measured["area"] == pytest.approx(20 * CELL_M2)
-    assert measured["pose_information"] == pytest.approx(0.5 * 3 * np.log(4.0))
-    assert measured["landmark_information"] == pytest.approx(0.5 * np.log(4.0))  # log 4 of one, nothing of the other
+    expected = {"area": 20 * CELL_M2, "pose_information": 0.5 * 3 * np.log(4.0)}
+    expected["landmark_information"] = 0.5 * np.log(4.0)  # log 4 of one, nothing of the other
+    assert {name: measured[name] for name in expected} == pytest.approx(expected)
 
 
 def test_area_drawn_from_a_pose_that_is_not_known_counts_once_it_is_known_again():
@@ -133,27 +129,16 @@ def test_events():
     assert events(memory, happened(terminated=True))["completion"] == 1.5  # of 100 m^2
 
 
-def test_weights():
-    config = RewardConfig(area=2.0, contact=-3.0, time=-1.0, pose_information=0.0, landmark_information=0.0)
-    found = apply_weights(weights_of(config), dict.fromkeys(TERMS, 1.0))
-    expected = {"area": 2.0, "contact": -3.0, "time": -1.0, "completion": 10.0, "divergence": -20.0}
-    assert {name: value for name, value in found.items() if value} == expected
-    assert CONFIG.divergence < CONFIG.time * EnvConfig().max_steps < 0.0  # to diverge costs more than a whole episode
-
-
 @pytest.mark.parametrize("source", ["belief", "truth"])
 def test_the_area_of_an_episode_telescopes(source):
-    env = make(reward={"source": source, "area": 1.0})
-    _, info = env.reset(seed=1)
-    base = env.unwrapped
-    start = episode_of(base).memory.area_m2
-    assert start > 5.0
+    env = started(reward={"source": source, "area": 1.0})
+    start, before = episode_of(env).memory.area_m2, env.info()["coverage"]
     rows = drive(env, 15)
     gained = sum(row[4]["reward_area"] for row in rows)
-    assert gained == pytest.approx(episode_of(base).memory.area_m2 - start)
+    assert gained == pytest.approx(episode_of(env).memory.area_m2 - start)
     if source == "truth":
-        coverage = rows[-1][4]["coverage"] - info["coverage"]
-        assert gained == pytest.approx(coverage * world_of(base).truth.free_cells * 0.01)
+        seen = rows[-1][4]["coverage"] - before
+        assert gained == pytest.approx(seen * world_of(env).truth.free_cells * 0.01)
 
 
 def test_a_filter_that_diverged_completes_nothing():
@@ -171,27 +156,26 @@ FREE_M2 = 50.0
 TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
 
 
-def run(env: gymnasium.Env, seed: int = 0, speed: float = 1.0) -> tuple[list[float], dict[str, Any]]:
-    """Rewards of a random walk, and the last info."""
+def run(env: gymnasium.Env, seed: int, speed: float, metric: str) -> tuple[float, float]:
+    """The return of a random walk, and the metric over its steps."""
     env.reset(seed=seed)
     rng = np.random.default_rng(seed)
     rows = list(until_over(env, lambda _: rng.uniform(-speed, speed, 2).astype(np.float32)))
-    return [row[1] for row in rows], rows[-1][4]
+    return sum(row[1] for row in rows), rows[-1][4][f"{metric}_over_steps"]
 
 
 @pytest.mark.parametrize(
     ("metric", "shaping", "end"), [("coverage", 0.0, {}), ("correct_coverage", 0.3, {"coverage": 0.6})]
 )
 def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: float, end: dict[str, float]) -> None:
-    keywords = {"layout": "two_rooms", "max_steps": 60, "end": end}
-    env = make(**keywords, reward={"preset": metric, "shaping": shaping, **TRUTH})
-    paced, moved = make(**keywords, reward={"preset": metric, "pace": 1.0, **TRUTH}), []
+    rewards = {"preset": metric, "shaping": shaping, **TRUTH}, {"preset": metric, "pace": 1.0, **TRUTH}
+    (env, paced), moved = (make(max_steps=60, end=end, reward=reward) for reward in rewards), []
     for seed, speed in enumerate((0.5, 1.0)):
-        rewards, info = run(env, seed, speed=speed)
-        assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"], abs=1e-9)
-        assert 0.0 < sum(rewards) <= 1.0
-        rewards, info = run(paced, speed=speed)
-        moved.append(sum(rewards) - info[f"{metric}_over_steps"])
+        returned, expected = run(env, seed, speed, metric)
+        assert returned == pytest.approx(expected, abs=1e-9)
+        assert 0.0 < returned <= 1.0
+        returned, expected = run(paced, 0, speed, metric)
+        moved.append(returned - expected)
     assert moved == pytest.approx([moved[0]] * 2, abs=1e-9)  # pace moves the return by what no action changes
     assert -1.0 < moved[0] < 0.0
 
@@ -238,8 +222,8 @@ def test_expected_correct_area_against_a_plain_twin(seed: int) -> None:
 
 def test_presets_and_what_contradicts_them() -> None:
     assert EnvConfig().reward == EnvConfig(reward="coverage").reward
-    assert EnvConfig.build(reward={"area": 0.2}).reward.preset == "terms"  # weights alone
-    assert EnvConfig.build(reward={"contact_share": -0.2}).reward.preset == "coverage"
+    for field, preset in (("area", "terms"), ("contact_share", "coverage")):  # weights alone
+        assert EnvConfig.build(reward={field: -0.2}).reward.preset == preset
     assert EnvConfig.build({"reward": "correct_coverage"}, reward="terms").reward.completion == 10.0
     for name, value in (("area", 0.2), ("contact", -1.0), ("correct_coverage", 0.5)):
         with pytest.raises(ConfigError, match=rf"(?s){name}.*'coverage'"):
