@@ -16,9 +16,7 @@ from mecp_env.world.layout import load_layout
 
 UNKNOWN = [
     ({"observation": {"fromat": "flat"}}, r"EnvConfig\.observation\.fromat: no such field; did you mean 'format'\?"),
-    ({"laser": {"preste": "ideal"}}, r"EnvConfig\.laser\.preste: no such field; did you mean 'preset'\?"),
     ({"slam": {"filter": {"knd": "ekf"}}}, r"EnvConfig\.slam\.filter\.knd: no such field; did you mean 'kind'\?"),
-    ({"planning": {"navigator": {"limit_step": 3}}}, r"did you mean 'limit_steps'\?"),
     ({"reward": {"zzz": 1.0}}, r"EnvConfig\.reward\.zzz: no such field \(fields: preset, source, area"),
 ]
 WRONG = [{"max_steps": value} for value in (0, 1.5, "10", True)]
@@ -26,8 +24,7 @@ WRONG += [{"start": value} for value in ("nowhere", (1.0, 2.0), (True, 2.0, 0.0)
 WRONG += [{"laser": value} for value in (None, {"sweeps": 99})]
 WRONG += [{"observation": value} for value in (3, "flatt", {"map": 1}, {"format": "flat", "scan": True})]
 WRONG += [
-    {"slam": {"corners": {"door_width_m": (1.0, 0.5)}}},
-    {"slam": {"polygon": {"tolerance_sigmas": np.nan}}},
+    {"slam": section} for section in ({"corners": {"door_width_m": (1, 0.5)}}, {"grid": {"resolution_m": np.nan}})
 ]
 WRONG += [{"layout": 3}, {"actions": "jump"}, {"end": {"coverage": 1.5}}, {"reward": {"time": np.inf}}]
 IN_VAIN = [  # nothing can be explored
@@ -39,8 +36,8 @@ IN_VAIN = [  # nothing can be explored
 ]
 
 
-@pytest.mark.parametrize(("fields", "message"), UNKNOWN + IN_VAIN, ids=repr)
-def test_unknown_names_get_the_nearest_and_what_explores_nothing_the_bound(fields, message):
+@pytest.mark.parametrize(("fields", "message"), UNKNOWN + IN_VAIN + [(each, next(iter(each))) for each in WRONG])
+def test_unknown_names_get_the_nearest_and_wrong_values_their_field_and_bound(fields, message):
     with pytest.raises(ConfigError, match=message):
         EnvConfig.build(fields)
     with pytest.raises(ConfigError, match=message):
@@ -48,12 +45,11 @@ def test_unknown_names_get_the_nearest_and_what_explores_nothing_the_bound(field
 
 
 def test_an_unknown_keyword_is_refused_in_the_words_of_python():
+    said = "got an unexpected keyword argument 'layuot'; did you mean 'layout'"
     for make in (EnvConfig.build, partial(gymnasium.make, "mecp_env/Layout-v0")):
-        with pytest.raises(
-            TypeError, match="got an unexpected keyword argument 'layuot'; did you mean 'layout'"
-        ) as told:
+        with pytest.raises(KeywordError, match=said):
             make(layuot="paper")
-        assert isinstance(told.value, KeywordError)
+    assert issubclass(KeywordError, TypeError)
     with pytest.raises(MecpError, match="atlantis"):
         gymnasium.make("mecp_env/Layout-v0", layout="atlantis")
     with pytest.raises(ConfigError, match="render_mode"):
@@ -62,12 +58,6 @@ def test_an_unknown_keyword_is_refused_in_the_words_of_python():
         EnvConfig.build([("layout", "paper")])
     with pytest.raises(ConfigError, match="no such field"):
         SlamConfig.parse({"panorama": {1: 2}})
-
-
-@pytest.mark.parametrize("fields", WRONG, ids=repr)
-def test_wrong_values_are_refused_with_field_and_value(fields):
-    with pytest.raises(ConfigError, match=next(iter(fields))):
-        EnvConfig.build(fields)
 
 
 def test_a_wrong_value_in_a_section_is_told_once_by_its_whole_path():
