@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
+from mecp_env.core.se2 import to_robot
 from mecp_env.episode import observation_arrays, observations
 from mecp_env.episode.observation_arrays import COLUMNS, COV_MAX, EXTENT_M, PREDICTED
 from mecp_env.episode.observations import (
@@ -58,26 +59,16 @@ def test_pooling_against_a_plain_twin(width):
     assert np.array_equal(pooled, np.bitwise_or.reduce(windows, axis=(2, 3)))
 
 
-def window_of(codes, pose, size, path=()):
-    """(n,n) the codes that a window shows, its layers packed again."""
-    points = np.array(path, np.float64).reshape(-1, 2)
-    layers = observation_arrays.window_layers(codes, (0, 0, *codes.shape), np.zeros(2), 0.1, pose, size, points)
-    return sum((layer == 255).astype(np.uint8) << bit for bit, layer in enumerate(layers))
-
-
 def test_a_window_shows_what_lies_ahead_in_its_first_row_and_left_in_its_first_column():
-    codes = np.zeros((100, 100), np.uint8)
-    ahead, left, n = observation_arrays.OCCUPIED, observation_arrays.DOOR, 9
     for heading in (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi):
-        codes[:] = 0
+        codes, pose = np.zeros((100, 100), np.uint8), np.array([5.05, 5.05, heading])
         c, s = round(math.cos(heading)), round(math.sin(heading))
-        codes[50 + 4 * s, 50 + 4 * c] = ahead
-        codes[50 + 3 * c, 50 - 3 * s] = left
-        pose = np.array([5.05, 5.05, heading])
-        window = window_of(codes, pose, (n, 0.1))
-        assert window[0, 4] == ahead
-        assert window[4, 1] == left
-        assert np.count_nonzero(window) == 2
+        codes[50 + 4 * s, 50 + 4 * c] = observation_arrays.OCCUPIED  # ahead
+        codes[50 + 3 * c, 50 - 3 * s] = observation_arrays.DOOR  # on the left
+        path = pose[None, :2] - 0.4 * np.array([[c, s]])  # behind
+        layers = observation_arrays.window_layers(codes, (0, 0, 100, 100), np.zeros(2), 0.1, pose, (9, 0.1), path)
+        shown = sorted(map(tuple, np.argwhere(layers).tolist()))
+        assert shown == sorted([(LAYER["occupied"], 0, 4), (LAYER["door"], 4, 1), (LAYER["path"], 8, 4)])
 
 
 def belief_of(n: int) -> Belief:
@@ -95,10 +86,9 @@ def test_landmark_rows_against_a_plain_twin(n):
     labels = (belief.ids, np.arange(n) % 4, np.arange(n) % 3, merged)
     observation_arrays.landmark_rows(belief.T_map_robot, belief.p_map, belief.covs, labels, rows)
     c, s = math.cos(belief.T_map_robot[2]), math.sin(belief.T_map_robot[2])
-    to_robot = np.array([[c, s], [-s, c]])
-    p_robot = (belief.p_map - belief.T_map_robot[:2]) @ to_robot.T
+    turn, p_robot = np.array([[c, s], [-s, c]]), to_robot(belief.T_map_robot, belief.p_map)
     order = np.argsort(np.hypot(*p_robot.T))[:LANDMARKS]
-    covs, shown = to_robot @ belief.covs @ to_robot.T, rows[: len(order)]
+    covs, shown = turn @ belief.covs @ turn.T, rows[: len(order)]
     assert np.allclose(shown[:, :2], p_robot[order], atol=1e-5)
     assert np.allclose(shown[:, 2:5], covs[order][:, [0, 0, 1], [0, 1, 1]], atol=1e-6)
     assert np.array_equal(shown[:, 5], np.where(order % 4 == 3, 1, order % 4))  # room 3 was merged into 1
