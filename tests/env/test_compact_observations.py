@@ -11,11 +11,11 @@ import pytest
 
 import mecp_env
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.se2 import to_map
 from mecp_env.episode.compact_observations import best_place_last, goal_cells, unseen_floor
 from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
-from mecp_env.wrappers import GoalActions
 from tests.env.helpers import drive, make, until_over
 
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
@@ -37,19 +37,16 @@ def test_flat_columns_against_a_plain_twin(observation: dict[str, Any], actions:
     parts = {"uncertainty": True, "scan": True}
     flat_env, dict_env = (make(observation=seen, actions=actions, **OWN) for seen in (observation, parts))
     flat, tables = flat_env.reset(seed=4)[0], dict_env.reset(seed=4)[0]
-    bare = [env.env if isinstance(env, GoalActions) else env.unwrapped for env in (flat_env, dict_env)]
-    names = mecp_env.flat_names(flat_env)
+    bare, names = [flat_env.unwrapped, dict_env.unwrapped], mecp_env.flat_names(flat_env)
     for _ in range(STEPS):
-        expected = twin(tables, dict_env.unwrapped, len(flat), names)
-        assert expected.keys() == dict.fromkeys(names).keys()
+        expected = twin(tables, dict_env.unwrapped, len(flat))
+        assert expected.keys() == set(names)
         pairs = zip(names, flat.tolist(), strict=True)
         assert {name: (expected[name], seen) for name, seen in pairs if abs(expected[name] - seen) > 2e-5} == {}
-        command = np.float32([0.7, 0.3])
-        by_row = actions == "goal"
-        flat, tables = (env.unwrapped.step(command)[0] if by_row else env.step(command)[0] for env in bare)
+        flat, tables = (env.step(np.float32([0.7, 0.3]))[0] for env in bare)
 
 
-def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...]) -> dict[str, float]:
+def twin(seen: dict[str, np.ndarray], env: Any, size: int) -> dict[str, float]:
     """The flat columns from a dict observation, one by one as docs/observations.md says."""
     named = head_twin(seen, env)
     nearest_15 = 15 * np.rint(np.degrees(env.slam_output.beams.bearings) / 15) % 360
@@ -58,8 +55,8 @@ def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...
     by_row, predicted = size in (325, 421), size in (229, 421)
     goals = seen["goals"][seen["goals"][:, 8] == 1.0].astype(float)
     config = env.config.planning_config
-    wait_s = config.known_ground.wait_steps * 0.4
-    seconds = np.where(goals[:, 4] == WAIT, wait_s, goals[:, 2] / config.control.speed_m_s)
+    seconds = goals[:, 2] / config.control.speed_m_s
+    seconds[goals[:, 4] == WAIT] = config.known_ground.wait_steps * 0.4
     order = np.arange(len(goals)) if by_row else np.argsort(seconds, kind="stable")
     most = 32 if by_row else 16
     last = most - len(goals) if by_row else 0  # known ground has the last rows
@@ -74,43 +71,35 @@ def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...
 def head_twin(seen: dict[str, np.ndarray], env: Any) -> dict[str, float]:
     x, y, cos, sin = seen["pose"].tolist()
     xx, xy, _, yy, _, tt = seen["pose_cov"].tolist()
-    turn = np.array([[cos, sin], [-sin, cos]])
-    to_start, cov = turn @ [-x, -y], turn @ [[xx, xy], [xy, yy]] @ turn.T
-    named = dict(zip(("start_cos", "start_sin", "start_distance"), polar_twin(to_start, 10), strict=True))
-    sigmas = halved(math.sqrt(cov[0, 0]), 0.1), halved(math.sqrt(cov[1, 1]), 0.1), halved(math.sqrt(tt), 0.05)
-    named |= dict(zip(("sigma_ahead", "sigma_left", "sigma_heading"), sigmas, strict=True))
-    named |= dict(zip(("confidence", "localised", "recognised"), seen["localisation"].tolist(), strict=True))
-    grid = env.slam_output.grid
-    named["budget"] = float(seen["budget"][0])
-    named["floor"] = halved(float((grid.label != 0).sum()) * grid.resolution_m**2, 100)
+    turn, grid = np.array([[cos, sin], [-sin, cos]]), env.slam_output.grid
+    cov = turn @ [[xx, xy], [xy, yy]] @ turn.T
+    names = "start_cos", "start_sin", "start_distance", "confidence", "localised", "recognised"
+    named = dict(zip(names, [*polar_twin(turn @ [-x, -y], 10), *seen["localisation"].tolist()], strict=True))
+    for name, variance, half in (("ahead", cov[0, 0], 0.1), ("left", cov[1, 1], 0.1), ("heading", tt, 0.05)):
+        named[f"sigma_{name}"] = halved(math.sqrt(variance), half)
+    named |= {"budget": seen["budget"][0], "floor": halved((grid.label != 0).sum() * grid.resolution_m**2, 100)}
     return named | {"goals": halved(len(env.goals), 10), "landmarks": halved(len(env.slam_output.belief.ids), 10)}
 
 
 def polar_twin(p_robot: np.ndarray, half: float) -> list[float]:
     far = math.hypot(p_robot[0], p_robot[1])
-    return [p_robot[0] / far if far else 0.0, p_robot[1] / far if far else 0.0, halved(far, half)]
+    return [*(p_robot / (far or 1.0)), halved(far, half)]
 
 
 def goal_twin(row: np.ndarray, seconds: float, env: Any) -> dict[str, float]:
-    rank = int(np.hypot(*(env.goals.p_map - from_robot(row[:2], env)).T).argmin())
+    place = to_map(env.slam_output.belief.T_map_robot, row[None, :2])
+    rank = int(np.hypot(*(env.goals.p_map - place).T).argmin())
     floor = halved(plain_unseen(env.goals.p_map[rank], env.slam_output.grid), 5) if row[4] < 4 else 0.0
-    values = [1.0, *polar_twin(row, 5), floor, 10 / (10 + seconds), halved(row[3], 1), halved(row[7], 1)]
+    values = [1.0, *polar_twin(row[:2], 5), floor, 10 / (10 + seconds), halved(row[3], 1), halved(row[7], 1)]
     values += [(row[4] + 1) / 7, halved(row[9], 0.1), halved(row[10], 0.05), halved(row[11], 10)]
     return dict(zip(GOAL_NAMES, values, strict=True))
-
-
-def from_robot(p_robot: np.ndarray, env: Any) -> np.ndarray:
-    x, y, heading = env.slam_output.belief.T_map_robot.tolist()
-    c, s = math.cos(heading), math.sin(heading)
-    return np.array([x + c * p_robot[0] - s * p_robot[1], y + s * p_robot[0] + c * p_robot[1]])
 
 
 def plain_unseen(p_map: np.ndarray, grid: Any) -> float:
     """m^2 of unknown cells that 24 beams of 5 m from a place cross before a wall, at most 2 m of each, in NumPy."""
     bearings, steps = np.arange(24) * (2 * math.pi / 24), np.arange(1, int(5.0 / grid.resolution_m) + 1)
     ways = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)[:, None] * steps[:, None]
-    cells = np.floor((p_map - grid.origin) / grid.resolution_m + ways).astype(int)
-    column, row = cells[..., 0], cells[..., 1]
+    column, row = np.moveaxis(np.floor((p_map - grid.origin) / grid.resolution_m + ways).astype(int), 2, 0)
     rows, columns = grid.label.shape
     inside = (row >= 0) & (column >= 0) & (row < rows) & (column < columns)
     label = np.where(inside, grid.label[row.clip(0, rows - 1), column.clip(0, columns - 1)], Cell.UNKNOWN)
