@@ -4,7 +4,6 @@ import re
 import shutil
 import sys
 import types
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,6 @@ import pytest
 
 import mecp_env  # noqa: F401
 from mecp_env.core.errors import ConfigError, LayoutError
-from mecp_env.env import MecpEnv
 from mecp_env.episode import buildings
 from mecp_env.episode.buildings import make_source, register_buildings
 from mecp_env.floorplans import plan_files
@@ -25,39 +23,25 @@ PAGE = Path(__file__).parents[2] / "docs/own-parts.md"
 
 
 @pytest.fixture
-def registered() -> Iterator[None]:
+def registered(monkeypatch: pytest.MonkeyPatch) -> None:
     """Names that a test registers are forgotten."""
-    before, names = dict(buildings.SOURCES), list(buildings.NAMES.others)
-    yield
-    buildings.SOURCES.clear()
-    buildings.SOURCES.update(before)
-    buildings.NAMES.others[:] = names
+    monkeypatch.setattr(buildings, "SOURCES", dict(buildings.SOURCES))
+    monkeypatch.setattr(buildings.NAMES, "others", list(buildings.NAMES.others))
 
 
-@pytest.fixture
-def rows(monkeypatch: pytest.MonkeyPatch, registered: None) -> types.ModuleType:
-    """The module of the page."""
-    made = types.ModuleType("rows")
+def test_the_code_of_the_page_runs_and_batches_and_states_know_it(monkeypatch, registered) -> None:
+    made, found = types.ModuleType("rows"), dict[str, Any]()
     exec(modules_of_page()["rows"], made.__dict__)
     monkeypatch.setitem(sys.modules, "rows", made)
-    return made
-
-
-def test_the_code_of_the_page_runs(rows: types.ModuleType) -> None:
     use = re.search(r"```python\n(import gymnasium as gym\nimport rows\n.*?)```", PAGE.read_text(), re.DOTALL)
     assert use is not None
-    env = {}
-    exec(use[1], env)
-    assert env["env"].unwrapped.summary()["rooms"] == 5
-
-
-def test_batches_and_states_know_its_buildings(rows: types.ModuleType) -> None:
-    env = MecpEnv({"layout": {"rows": {}}})
-    first, _ = env.reset(seed=3)
-    state = env.get_state()
+    exec(use[1], found)
+    env = found["env"].unwrapped
+    assert env.summary()["rooms"] == 5
+    state, first = env.get_state(), env.observation()["pose"]
     env.step([0.3, 0.1])
     env.set_state(state)
-    assert (env.observation()["pose"] == first["pose"]).all()
+    assert (env.observation()["pose"] == first).all()
     venv = gym.make_vec("mecp_env/Layout-v0", 2, layout={"rows": {}}, max_steps=5)
     venv.reset(seed=0)
     venv.close()
