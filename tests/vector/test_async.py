@@ -12,7 +12,7 @@ from gymnasium.error import AlreadyPendingCallError, ClosedEnvironmentError, NoA
 from mecp_env.vector import BatchEnv
 from tests.env.helpers import same
 from tests.processes import gone_within
-from tests.vector.helpers import N, choose, make_small
+from tests.vector.helpers import N, make_small
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -31,28 +31,27 @@ def batch() -> BatchEnv:
 
 
 def histories(venv: BatchEnv, steps: int) -> list[list[Any]]:
-    """All rows of each environment, driven by `send` and `recv`; its actions follow from its own observations."""
+    """All rows of each environment, driven by `send` and `recv`, each with actions of its own."""
     rows: list[list[Any]] = [[] for _ in range(N)]
     rngs = [np.random.default_rng(i) for i in range(N)]
     venv.async_reset(seed=11)
     while any(len(row) <= steps for row in rows):
-        observation, *rest, infos = venv.recv()
-        going, actions = [], []
-        for k, env in enumerate(infos.pop("env_id").tolist()):
-            row = {key: part[k] for key, part in observation.items()}
-            rows[env].append((row, [part[k] for part in rest], row_of(infos, k)))
-            if len(rows[env]) <= steps:
-                going.append(env)
-                actions.append(choose(venv.single_action_space, {key: row[key][None] for key in row}, rngs[env])[0])
+        parts = venv.recv()
+        ids = parts[-1].pop("env_id").tolist()
+        for k, env in enumerate(ids):
+            rows[env].append([row_of(part, k) for part in parts])
+        going = [env for env in ids if len(rows[env]) <= steps]
         if going:
-            venv.send(np.array(actions), going)
+            venv.send(np.array([rngs[env].uniform(-0.5, 1.0, 2) for env in going], np.float32), going)
     return rows
 
 
-def row_of(infos: dict[str, Any], k: int) -> dict[str, Any]:
-    """What a batched info holds of row `k`."""
-    inner = {name: part for name, part in infos.items() if f"_{name}" in infos and infos[f"_{name}"][k]}
-    return {name: row_of(part, k) if isinstance(part, dict) else part[k] for name, part in inner.items()}
+def row_of(part: Any, k: int) -> Any:
+    """Row `k` of a part of a batched result, of infos what is there."""
+    if not isinstance(part, dict):
+        return part[k]
+    there = {name: inner for name, inner in part.items() if name[0] != "_" and part.get(f"_{name}", np.ones(N))[k]}
+    return {name: row_of(inner, k) for name, inner in there.items()}
 
 
 def test_all_at_once_gives_what_reset_and_step_give() -> None:
