@@ -11,8 +11,6 @@ from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Brush
 from mecp_env.render.screen import map_picture
 from mecp_env.render.shapes import summary
-from mecp_env.render.stages import stage_figures
-from mecp_env.slam.messages import EdgeLabel
 from tests.render import scene
 from tests.slam import make
 
@@ -41,14 +39,6 @@ def test_the_map_shows_truth_and_belief_and_is_drawn_twice_the_same(monkeypatch:
     assert (log == palette.SOLID).all(axis=2).any()
     short = summary({"rooms_found": 3, "rooms": 9, "pose_error_m": 0.0204})
     assert short == [("rooms", "3/9"), ("pose error", "2.0 cm")]  # what is not known is left out
-
-
-def test_one_picture_a_stage() -> None:
-    edges = np.array([[0, 0.0, 0.5, EdgeLabel.WALL], [0, 0.5, 1.0, EdgeLabel.GAP], [1, 0.0, 1.0, EdgeLabel.OPEN]])
-    output = replace(scene.output(), polygons=(make.polygon([0, 1, 2], edges),), corners=scene.corners())
-    figures = stage_figures(output, make.clusters([0, 300], [299, 719]))
-    assert list(figures) == ["scan", "clusters", "segments", "corners", "polygon", "association"]
-    assert all(figure.axes[0].lines for figure in figures.values())
 
 
 def test_the_ellipse_holds_95_percent_of_the_samples() -> None:

@@ -64,30 +64,27 @@ def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
 
 
 @pytest.mark.parametrize(("name", "polite"), [("paper", True), ("furnished", False)])
-def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) -> None:
-    simulation, movers = world(name, polite=polite)
+def test_no_pedestrian_walks_through_walls_or_others_nor_if_polite_up_to_a_robot_that_drives(
+    name: str, polite: bool
+) -> None:
+    simulation, movers = world(name, people=10, polite=polite)
     walked, rooms = np.zeros(len(movers.state.pedestrians)), [set[int]() for _ in movers.state.pedestrians]
     for _ in random_drive(simulation, 500 if name == "paper" else 250):
         pedestrians = movers.state.pedestrians
         for walker in pedestrians:
             assert wall_distance(OUTLINES[name].segments, walker[0], walker[1]) > walker[crowd.RADIUS] - 1e-6
         assert shapely.contains_xy(OUTLINES[name].free_area, *pedestrians[:, :2].T).all()
-        assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
+        to_robot, to_others = gaps(movers, simulation.T_world_robot[:2])
+        assert to_others.min() > -1e-9
+        towards = simulation.T_world_robot[:2] - pedestrians[:, :2]
+        closing = (towards * pedestrians[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
+        near = closing & (pedestrians[:, crowd.MOVES] > 0.0) & (to_robot < crowd.POLITE_M - 0.03)
+        assert not (polite and near.any())
         walked += np.hypot(*(pedestrians[:, :2] - pedestrians[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
         for seen, room in zip(rooms, OUTLINES[name].room_at(pedestrians[:, :2]).tolist(), strict=True):
             seen.add(room)
     assert walked.mean() > 12.0  # m in 100 s: they do walk
     assert name != "paper" or min(len(seen - {-1}) for seen in rooms) >= 2
-
-
-def test_polite_pedestrians_never_step_up_to_a_robot_that_drives() -> None:
-    simulation, movers = world("paper", 3, people=10)
-    for _ in random_drive(simulation, 400):
-        near, _ = gaps(movers, simulation.T_world_robot[:2])
-        steps = movers.state.pedestrians[:, crowd.MOVES] > 0.0
-        towards = simulation.T_world_robot[:2] - movers.state.pedestrians[:, :2]
-        closing = (towards * movers.state.pedestrians[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
-        assert not (steps & closing & (near < crowd.POLITE_M - 0.03)).any()
 
 
 def test_pedestrians_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> None:
