@@ -6,19 +6,20 @@ from numpy.typing import NDArray
 
 from mecp_env.world.config import RobotConfig
 from mecp_env.world.drive import TOUCH_M, RobotLimits, leave_walls, wheels
-from mecp_env.world.simulation import Simulation
 
 Array = NDArray[np.float64]
 
 
 class PymunkDrive:
-    """Control steps from any state."""
+    """Control steps from any state.
+
+    Where several walls are touched at once, the ten iterations of pymunk's solver leave an error.
+    """
 
     def __init__(self, segments: Array, config: RobotConfig) -> None:
         self.config, self.segments, self.limits = config, segments, RobotLimits.of(config)
         self.space = pymunk.Space()
-        self.space.collision_slop, self.space.collision_bias = 0.0, 1.0
-        self.space.collision_persistence = 1
+        self.space.collision_slop, self.space.collision_bias, self.space.collision_persistence = 0.0, 1.0, 1
         walls = [pymunk.Segment(self.space.static_body, a, b, 0.0) for a, b in segments.tolist()]
         self.body = pymunk.Body(9.0, 9.0 * config.radius_m**2 / 2.0)
         self.space.add(*walls, self.body, pymunk.Circle(self.body, config.radius_m))
@@ -48,19 +49,3 @@ class PymunkDrive:
         body.each_arbiter(contacts.append)
         self.most_contacts = max(self.most_contacts, len(contacts))
         return np.array([*body.velocity, body.angular_velocity])
-
-
-def deviations(simulation: Simulation, reference: PymunkDrive, steps: int, seed: int) -> Array:
-    """(steps,5) random drive, step by step from the same state: deviation in m and in m/s, touched, twice, contacts.
-
-    Where several walls are touched at once, the ten iterations of pymunk's solver leave an error.
-    """
-    rng, rows, v, w = np.random.default_rng(seed), [], 0.0, 0.0
-    for step in range(steps):
-        if step % 6 == 0:
-            v, w = rng.uniform(-0.4, 0.75), rng.uniform(-1.75, 1.75) * rng.integers(0, 2)
-        expected, touched = reference.step(simulation.get_state()["body"], v, w)
-        motion = simulation.step(v, w)
-        off = simulation.get_state()["body"] - expected
-        rows.append([np.hypot(*off[:2]), np.hypot(*off[3:5]), motion.contact, touched, reference.most_contacts])
-    return np.array(rows)
