@@ -80,6 +80,7 @@ def test_single_fields_override_a_preset() -> None:
     assert EnvConfig.build(config.to_dict(), laser={"preset": "paper"}).laser == LaserConfig()
     wheels = OdometryConfig(preset="skid_steer", slip_share=0.0)
     assert (wheels.slip_share, wheels.turn_sigma_deg) == (0.0, WHEELS["skid_steer"]["turn_sigma_deg"])
+    assert SHEETS.keys() == LASERS.keys() - {"paper", "ideal"}
     for section, known in (("laser", LASERS), ("odometry", WHEELS)):
         with pytest.raises(ConfigError) as refused:
             EnvConfig.build({section: {"preset": "urg04lz"}})

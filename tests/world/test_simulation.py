@@ -84,12 +84,8 @@ def test_the_robot_never_leaves_the_free_space(outline: Outline, robot: RobotCon
 
 def test_one_wall_at_a_time_is_as_in_pymunk(outline: Outline) -> None:
     """To rounding, and every contact is noted where pymunk notes one."""
-    simulation, reference, rng = (
-        Simulation(outline, ROBOT),
-        PymunkDrive(outline.segments, ROBOT),
-        np.random.default_rng(0),
-    )
-    count = 0
+    simulation, reference = Simulation(outline, ROBOT), PymunkDrive(outline.segments, ROBOT)
+    rng, count = np.random.default_rng(0), 0
     for step in range(900):
         if step % 300 == 0:
             simulation.reset(random_free_pose(outline, rng, ROBOT.radius_m))
