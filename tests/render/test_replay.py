@@ -44,8 +44,7 @@ def test_a_page_has_every_step_and_the_last_belief(kept: tuple[Path, list[Any]])
     assert sorted(landmarks) == sorted(output.belief.ids.tolist())
     placed = np.array([landmarks[name][:2] for name in output.belief.ids.tolist()])
     np.testing.assert_allclose(placed / 100.0, output.belief.p_map, atol=0.00501)
-    known = (output.grid.label > 0).sum()
-    assert (cells_at_the_end(run) > 0).sum() == known
+    assert (cells_at_the_end(run) > 0).sum() == (output.grid.label > 0).sum()
     assert run["frames"][-1]["curves"]["coverage"] == round(1e4 * views[-1].metrics["coverage"])
     assert "reward_area" in run["curve_units"]
 
@@ -71,9 +70,8 @@ def test_a_long_run_keeps_evenly_spaced_steps(kept: tuple[Path, list[Any]], monk
     for view in kept[1][:30]:
         some.look(view)
     run = some.run("thin")
-    steps = [frame["step"] for frame in run["frames"]]
-    assert len(steps) <= 8
-    assert np.unique(np.diff(steps)).tolist() == [some.every]
+    assert len(run["frames"]) <= 8
+    assert set(np.diff([frame["step"] for frame in run["frames"]])) == {some.every}
     assert run["frames"][1]["time"] == round(40 * some.every)
     assert (cells_at_the_end(run) > 0).sum() == (some.frames[-1].grid.codes > 0).sum()
 
@@ -111,8 +109,8 @@ def test_a_page_that_is_none_is_refused(page: Path, tmp_path: Path) -> None:
             read_page(tmp_path / "p.html")
 
 
-@pytest.mark.parametrize("title", ["{{player}}{{run}}{{style}}{{version}}{{title}}", r"\1 \g<0>", "<script>x</script>"])
-def test_a_title_stays_as_it_is_and_cannot_break_the_page(title: str, tmp_path: Path) -> None:
+def test_a_title_stays_as_it_is_and_cannot_break_the_page(tmp_path: Path) -> None:
+    title = r"{{player}}{{run}}{{style}}{{version}}{{title}} \1 \g<0> <script>x</script>"
     write_page({"frames": [1], "title": title}, tmp_path / "p.html")
     assert f'<h1 id="title">{html.escape(title)}</h1>' in (tmp_path / "p.html").read_text()
     assert "<script>x" not in (tmp_path / "p.html").read_text()

@@ -27,11 +27,10 @@ def batch() -> BatchEnv:
 @pytest.mark.parametrize("name", IDS)
 def test_make_vec_takes_the_batch_for_every_id_and_its_spec_makes_it_again(name: str) -> None:
     venv = gymnasium.make_vec(name, 2, context="fork", laser=SMALL["laser"], **NEEDED.get(name, {}))
-    assert isinstance(venv, BatchEnv)
     observation, _ = venv.reset(seed=1)
     assert observation in venv.observation_space
     again = gymnasium.make_vec(EnvSpec.from_json(venv.spec.to_json()))
-    assert isinstance(again, BatchEnv)
+    assert type(venv) is type(again) is BatchEnv
     assert same(observation, again.reset(seed=1)[0])
 
 
@@ -113,16 +112,12 @@ def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
     env.unwrapped.set_state(state)
 
 
-def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_in_windows_returns_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     venv = make_small(render_mode="human")
     venv.reset(seed=1)
     assert venv.step(STILL)[4]["period"].tolist() == [1] * N
     assert (venv.render_mode, venv.render()) == ("human", (None,) * N)
-    venv.close()
-    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
-    with pytest.raises(ConfigError, match="'human' can open no window"):
-        make_small(render_mode="human")
 
 
 def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> None:
