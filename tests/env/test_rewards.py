@@ -1,10 +1,12 @@
 """Each term of the reward: formula and unit, more reward for better results, none for detours."""
 
+import math
 from itertools import pairwise
 
 import gymnasium
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.special import erf
 
 from mecp_env.config import EnvConfig, RewardConfig
@@ -12,13 +14,20 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.episode.potentials import (
     BLOCK_CELLS,
     NEAR_M,
+    TAU_M,
     MetricMemory,
     RewardInputs,
+    a_optimality,
     coverage,
+    d_optimality,
+    entropy,
+    expected_area,
     expected_correct_m2,
     metric_terms,
     nearness,
+    register_reward,
     start_metrics,
+    t_optimality,
 )
 from mecp_env.episode.rewards import (
     RewardMemory,
@@ -238,3 +247,77 @@ def inputs_of(share: float | None, budget: float) -> RewardInputs:
     shares = None if share is None else (share, share)
     empty = grid(np.zeros((8, 8)), resolution_m=0.5)
     return reward_inputs(belief(), empty, true_shares=shares, free_area_m2=FREE_M2, budget=budget)
+
+
+def half_known(sigmas: tuple[float, ...], pose: float = 1e-2, diverged: bool = False) -> RewardInputs:
+    """The left half of a grid of 8 m by 4 m is known, and landmarks at 1 m, 5 m, ... of these sigmas."""
+    p_map = [(1.0 + 4.0 * n, 2.0) for n in range(len(sigmas))]
+    known = belief(p_map=p_map, pose_cov=pose**2, covs=np.square(sigmas))
+    return reward_inputs(known, grid(np.tile(np.arange(80) < 40, (40, 1))), diverged=diverged)
+
+
+def reliability(sigma: float) -> float:
+    return 1.0 - math.exp(-(TAU_M**2) / (2.0 * sigma**2))
+
+
+def test_expected_area_is_the_mapped_area_times_the_reliability_of_the_nearest_landmark() -> None:
+    assert expected_area(half_known((0.1,))) == pytest.approx(16.0 * reliability(0.1))
+    split = 4.0 * (3.2 * reliability(0.05) + 0.8 * reliability(0.5))  # the second landmark is nearer from 3 m on
+    assert expected_area(half_known((0.05, 0.5))) == pytest.approx(split, rel=0.05)
+
+
+def test_entropy_is_that_of_cells_that_are_right_with_a_probability() -> None:
+    right = 0.5 * (1.0 + reliability(0.1))
+    assert entropy(half_known((0.1,))) == pytest.approx(16.0 * (math.log(2.0) - stats.bernoulli(right).entropy()))
+
+
+def test_optimality_criteria_of_eigenvalues() -> None:
+    now = half_known((0.1, 0.4), pose=0.2)
+    now.belief.covs[1] = [[0.16, 0.07], [0.07, 0.1]]
+    values = np.array([0.04, 0.04, 0.04, 0.01, 0.01, *np.linalg.eigvalsh(now.belief.covs[1])])
+    assert d_optimality(now) == pytest.approx(-0.5 * np.log(values).mean())
+    assert a_optimality(now) == pytest.approx(-0.5 * math.log(values.mean()))
+    assert t_optimality(now) == pytest.approx(0.5 * math.log((1.0 / values).mean()))
+
+
+@pytest.mark.parametrize("potential", [expected_area, entropy, d_optimality, a_optimality, t_optimality])
+def test_a_better_belief_is_worth_more_and_a_diverged_one_least(potential) -> None:
+    poor, good = potential(half_known((0.3, 0.3))), potential(half_known((0.1, 0.1)))
+    assert good > poor > potential(half_known((0.1, 0.1), diverged=True))
+
+
+def landmarks_seen(inputs: RewardInputs) -> float:
+    return float(len(inputs.belief.ids))
+
+
+def test_a_custom_reward_by_name() -> None:
+    register_reward("landmarks_seen", landmarks_seen)
+    env = started(reward={"custom": {"landmarks_seen": 2.0}})
+    begin, rows = env.info()["landmarks"], drive(env, 15)
+    assert sum(row[4]["reward_landmarks_seen"] for row in rows) == 2.0 * (rows[-1][4]["landmarks"] - begin)
+
+
+WRONG = [
+    ({"landmark_seen": 1.0}, r"custom\.landmark_seen: landmark_seen: not registered.*did you mean 'landmarks_seen'"),
+    ({"area": 1.0}, "area: one of ours"),
+    ({"x": "much"}, "x"),
+]
+FAILING = [
+    (lambda inputs: math.nan, "gave nan.*, a finite number expected"),
+    (lambda inputs: None, "gave None.*, a finite number expected"),
+    (lambda inputs: inputs.walls, r"failed: AttributeError: .*\(<lambda>, line \d+\)"),
+]
+
+
+def test_a_wrong_custom_reward_is_named() -> None:
+    register_reward("landmarks_seen", landmarks_seen)
+    for custom, message in WRONG:
+        with pytest.raises(ConfigError, match=message):
+            make(reward={"custom": custom})
+    for name, potential in (("two words", landmarks_seen), ("seen", 3)):
+        with pytest.raises(ConfigError):
+            register_reward(name, potential)
+    for potential, said in FAILING:
+        register_reward("wrong", potential)
+        with pytest.raises(ConfigError, match=f"potential 'wrong' {said}"):
+            make(reward={"custom": {"wrong": 1.0}}).reset(seed=0)
