@@ -113,23 +113,23 @@ def test_of_a_folder_each_plan_comes(folder: Path) -> None:
     assert gym.make(PLAN, config=one.unwrapped.config).unwrapped.config == one.unwrapped.config
 
 
-@pytest.mark.parametrize(
-    ("keywords", "error", "named"),
-    [
-        ({}, ConfigError, "path of a floor plan"),
-        ({"plan": "nowhere.json"}, LayoutError, "nowhere"),
-        ({"plan": ""}, ConfigError, "plan: the path of a floor plan"),
-        ({"plan": b"b.yaml"}, ConfigError, r"plan: the path of a floor plan.*\(given: b'b.yaml'\)"),
-        ({"layout": "paper"}, ConfigError, "layout"),
-        ({"plan": "b.yaml", "door_width_m": 0.9}, ConfigError, r"door_width_m: two widths, the narrower first"),
-        ({"plan": ".", "resolution": 0.05}, ConfigError, r"argument 'resolution'; did you mean 'resolution_m'"),
-        ({"plan": "empty"}, ConfigError, "no file in it"),
-    ],
-)
-def test_wrong_input_is_named(folder: Path, monkeypatch, keywords: dict, error: type, named: str) -> None:
+WRONG_PLAN: list[tuple[dict[str, Any], type[Exception], str]] = [
+    ({}, ConfigError, "path of a floor plan"),
+    ({"plan": "nowhere.json"}, LayoutError, "nowhere"),
+    ({"plan": ""}, ConfigError, "plan: the path of a floor plan"),
+    ({"plan": b"b.yaml"}, ConfigError, r"plan: the path of a floor plan.*\(given: b'b.yaml'\)"),
+    ({"layout": "paper"}, ConfigError, "layout"),
+    ({"plan": "b.yaml", "door_width_m": 0.9}, ConfigError, r"door_width_m: two widths, the narrower first"),
+    ({"plan": ".", "resolution": 0.05}, ConfigError, r"argument 'resolution'; did you mean 'resolution_m'"),
+    ({"plan": "empty"}, ConfigError, "no file in it"),
+]
+
+
+def test_wrong_input_is_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(folder)
-    with pytest.raises(error, match=named):
-        gym.make(PLAN, **keywords)
+    for keywords, error, named in WRONG_PLAN:
+        with pytest.raises(error, match=named):
+            gym.make(PLAN, **keywords)
 
 
 def test_folders_in_a_folder_are_entered_in_order_and_no_link_leads_round_or_out_of_it(folder: Path) -> None:
