@@ -15,7 +15,6 @@ from tests.slam import make
 
 CONFIG = PathsConfig()
 RADIUS_M = CONFIG.radius_m
-BEYOND_GAP = np.array([3.55, 4.05])  # in the second room of `room_with_gap`
 
 
 def costs_from(label: np.ndarray, cell: tuple[int, int], tight: bool = False) -> CostToGoField:
@@ -38,12 +37,6 @@ def test_clearance_is_the_distance_to_the_nearest_wall(seed: int) -> None:
     label = random_label(np.random.default_rng(seed))
     expected = np.minimum(ndimage.distance_transform_edt(label != Cell.OCCUPIED), 6.0)
     assert grid_paths.clearance(label, 6.0) == pytest.approx(expected, abs=1e-5)
-
-
-def test_only_a_tight_way_leads_through_a_door_drawn_too_narrow() -> None:
-    for cells, tight, passes in ((5, False, False), (5, True, True), (3, True, False)):  # 3: too narrow for the robot
-        costs = costs_from(room_with_gap(cells), (20, 10), tight)
-        assert (costs.nearest(BEYOND_GAP, 0.3) is not None) == passes
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -139,14 +132,17 @@ def room_with_gap(cells: int) -> np.ndarray:
     return label
 
 
-def test_the_way_through_a_door_is_in_its_middle_and_slits_and_unknown_cells_are_no_way() -> None:
+def test_the_way_through_a_door_is_in_its_middle_and_through_one_drawn_too_narrow_only_a_tight_one_leads() -> None:
     costs = costs_from(room_with_gap(9), (5, 10))
     path = costs.path(costs.nearest(np.array([4.05, 2.55]), 0.3))
     assert abs(np.interp(2.05, path[:, 0], path[:, 1]) - (2.0 + 1.95)) < 0.11
     unknown = room_with_gap(9)
     unknown[:, 35:50] = Cell.UNKNOWN
-    for label, passes in ((room_with_gap(8), True), (room_with_gap(5), False), (unknown, False)):
-        assert (costs_from(label, (20, 10)).nearest(BEYOND_GAP, 0.3) is not None) == passes
+    for label, tight, passes in (
+        *((room_with_gap(8), False, True), (room_with_gap(5), False, False), (unknown, False, False)),
+        *((room_with_gap(5), True, True), (room_with_gap(3), True, False)),  # 3: too narrow for the robot
+    ):
+        assert (costs_from(label, (20, 10), tight).nearest(np.array([3.55, 4.05]), 0.3) is not None) == passes
 
 
 def test_a_robot_in_a_niche_gets_out_though_the_first_step_is_a_diagonal() -> None:
