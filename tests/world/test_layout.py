@@ -1,6 +1,5 @@
 """Layouts: the included ones are as documented; wrong ones raise LayoutError with the field."""
 
-import copy
 import json
 import math
 import re
@@ -16,7 +15,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.world.layout import Layout, load_layout, shipped_layouts
 from mecp_env.world.outline import build_outline
 from mecp_env.world.schema import BoxSpec
-from tests.world.conftest import DOCUMENTS
+from tests.world.conftest import document_of
 from tests.world.make import jambs_of
 
 Document = dict[str, Any]
@@ -131,7 +130,7 @@ def test_what_is_no_layout_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", shipped_layouts())
 def test_the_direction_of_a_cut_follows_from_its_wall(name: str) -> None:
-    document, turned = copy.deepcopy(DOCUMENTS[name]), copy.deepcopy(DOCUMENTS[name])
+    document, turned = document_of(name), document_of(name)
     for door, other in zip(document["doors"], turned["doors"], strict=True):
         del door["direction_deg"], other["direction_deg"]
         other["rooms"] = other["rooms"][::-1]
