@@ -21,7 +21,7 @@ UNKNOWN = [
 ]
 WRONG = [{"max_steps": value} for value in (0, 1.5, "10", True)]
 WRONG += [{"start": value} for value in ("nowhere", (1.0, 2.0), (True, 2.0, 0.0))]
-WRONG += [{"laser": None}, {"laser": {"sweeps": 99}}, {"robot": {"arcs": 0}}, {"robot": {"radius_m": np.nan}}]
+WRONG += [{"laser": None}, {"laser": {"sweeps": 99}}, {"robot": {"arcs": 0}}, {"robot": {"period_s": 3.0}}]
 WRONG += [{"observation": value} for value in (3, "flatt", {"map": 1}, {"format": "flat", "scan": True})]
 WRONG += [
     {"slam": section} for section in ({"corners": {"door_width_m": (1, 0.5)}}, {"grid": {"resolution_m": np.nan}})

@@ -55,6 +55,7 @@ DAMAGES = [
     (lambda s: with_field(s, "goals_step", True), r"episode\.goals_step: expected int"),
     (lambda s: with_field(s, "goals_key", {"@tuple": [1, "x"]}), r"episode\.goals_key"),
     (lambda s: with_field(s, "extra", 3), "extra"),
+    (lambda s: s | {"episode": None}, "episode"),
     (lambda s: s | {"simulation": {"@dict": [["body", 3.0]]}}, "simulation"),
     (lambda s: s | {"seed": True}, "seed"),
 ]

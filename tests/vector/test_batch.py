@@ -112,12 +112,16 @@ def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
     env.unwrapped.set_state(state)
 
 
-def test_a_batch_in_windows_returns_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
     venv = make_small(render_mode="human")
     venv.reset(seed=1)
     assert venv.step(STILL)[4]["period"].tolist() == [1] * N
     assert (venv.render_mode, venv.render()) == ("human", (None,) * N)
+    venv.close()
+    monkeypatch.setenv("SDL_VIDEODRIVER", "no_such_driver")
+    with pytest.raises(ConfigError, match="'human' can open no window"):
+        make_small(render_mode="human")
 
 
 def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> None:

@@ -26,7 +26,8 @@ def test_json_both_ways(name: str, tmp_path: Path) -> None:
     layout, path = load_layout(name), tmp_path / "copy.json"
     path.write_text(layout.to_json())
     assert layout.name == name
-    assert load_layout(path) == load_layout(str(path)) == load_layout(json.loads(layout.to_json())) == layout
+    assert load_layout(path) == load_layout(str(path)) == load_layout(layout) == layout
+    assert load_layout(json.loads(layout.to_json())) == layout
     path.write_text(layout.to_json(), encoding="utf-16")  # as the shell of Windows redirects
     assert load_layout(path) == layout
     lines = layout.to_json().splitlines()  # one wall a line
@@ -74,6 +75,7 @@ BAD_DOCUMENTS = {
     "start in a wall": ("starts.0.point", [5.03, 4], r"starts\.0\.point: \(5\.03, 4\.0\) lies inside"),
     "start near a wall": ("starts.1.point", [8.8, 2], r"starts\.1\.point: .* 0\.125 m from a wall.*0\.22"),
     "walls not closed": ("walls.0.points", [[0, 0], [9, 0], [9, 5], [0, 5]], r"starts\.0\.point.*not closed"),
+    "room without a door": ("doors", [], r"starts\.1\.point.*cut off|rooms\.1.*cannot be reached"),
     "narrow door": ("doors.0.width_m", 0.4, r"rooms\.1: 'east' cannot be reached by a radius of 0\.22 m"),
     "blocked door": ("obstacles", [PILLAR], r"rooms\.1: 'east' cannot be reached|doors\.0"),
     "tiny": ("rooms.0.polygon.1.0", 1.9e-230, "rooms"),  # a warning is an error here, too
@@ -177,6 +179,7 @@ BAD_SOLIDS = {
     "hole outside": ("solids.0.holes.0.3", [-3, 0], r"solids\.0: not a simple polygon"),
     "nothing at all": ("solids", [], r"layout: walls: at least 1 expected"),
     "too many points": ("solids", [{"outer": [[0, 0], [1, 0], [1, 1]] * 4000}] * 2, r"rooms: 24\d{3} faces"),
+    "gap without depth": ("doors.0.depth_m", None, r"doors\.0: .*a gap has depth_m"),
     "gap without direction": ("doors.0.direction_deg", None, r"doors\.0: .*a gap has direction_deg"),
     "cut without walls": ("doors.0", CUT, r"doors\.0\.opening: cut, but the layout has no walls"),
     "gap in a solid": ("doors.0.centre", [4.05, 2.4], r"doors\.0: 0\.\d\d of the gap is open, at least 0\.9"),
