@@ -11,7 +11,7 @@ import pytest
 
 from mecp_env.core.snapshot import StateError
 from mecp_env.episode.episode import SHAPES
-from tests.env.helpers import drive, started
+from tests.env.helpers import started
 from tests.processes import run_python
 
 PARTS = ("simulation", "moving", "episode")
@@ -103,8 +103,9 @@ def mutate(state: dict[str, Any], known: dict[str, Any], rng: np.random.Generato
 
 def run(first: int, count: int) -> dict[str, int]:
     """Mutate `count` snapshots; the seed of each is written before it is tried, so that a crash is known."""
-    env = started(seed=3, crowd={"people": 2})
-    drive(env, 25)
+    env, rng = started(seed=3, crowd={"people": 2}), np.random.default_rng(0)
+    for _ in range(25):
+        env.step(np.array([0.7, rng.uniform(-0.5, 0.5)], np.float32))
     good, ends = env.get_state(), {"refused": 0, "running": 0}
     known = nodes(good)
     for seed in range(first, first + count):
