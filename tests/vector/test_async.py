@@ -18,7 +18,7 @@ from mecp_env.vector import BatchEnv
 from mecp_env.vector import batch as batching
 from tests.env.helpers import same
 from tests.processes import gone_within, needs_linux
-from tests.vector.helpers import N, make_small
+from tests.vector.helpers import N, make_small, started
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -74,8 +74,7 @@ def test_all_at_once_gives_what_reset_and_step_give() -> None:
 
 
 def test_what_is_finished_first_is_served_first() -> None:
-    venv = make_small(batch_size=1, wrappers=(SlowFirst,))
-    venv.reset(seed=1)
+    venv = started(batch_size=1, wrappers=(SlowFirst,))
     actions = STILL.copy()
     actions[0, 1] = -0.5  # the only environment of its worker
     venv.send(actions)
@@ -171,8 +170,7 @@ class Unsendable(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def test_an_info_that_cannot_be_sent_closes_the_batch() -> None:
-    venv = make_small(wrappers=(Unsendable,))
-    venv.reset(seed=1)
+    venv = started(wrappers=(Unsendable,))
     pids = venv.pids
     venv.send(STILL)
     with pytest.raises(Exception, match="pickle"):
@@ -253,8 +251,7 @@ class Counted(gymnasium.Wrapper[Any, Any, Any, Any]):
 def test_actions_may_be_overwritten_once_they_are_sent(own: int) -> None:
     rows = []
     for later in (0.5, -0.5):
-        venv = make_small(workers=None)
-        venv.reset(seed=1)
+        venv = started(workers=None)
         actions = STILL + np.float32(0.5)
         venv.step_async(actions)
         actions[:] = later
@@ -272,8 +269,7 @@ class Interrupted(gymnasium.Wrapper[Any, Any, Any, Any]):
 
 
 def test_after_an_interrupted_step_the_batch_must_be_reset(own: int) -> None:
-    venv = make_small(workers=None, wrappers=(Interrupted,))
-    venv.reset(seed=1)
+    venv = started(workers=None, wrappers=(Interrupted,))
     venv.step_async(STILL - np.float32([[0.0, 0.5], [0.0, 0.0], [0.0, 0.0]]))
     with pytest.raises(KeyboardInterrupt):
         venv.step_wait()

@@ -14,7 +14,7 @@ from mecp_env.core.processes import start_method
 from mecp_env.vector import BatchEnv
 from mecp_env.vector import batch as batching
 from tests.env.helpers import IDS, NEEDED, SMALL, same
-from tests.vector.helpers import LAYOUT, N, make_small
+from tests.vector.helpers import LAYOUT, N, make_small, started
 
 STILL = np.zeros((N, 2), np.float32)
 
@@ -77,8 +77,7 @@ def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> N
 @pytest.mark.parametrize("workers", [2, None])
 def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batching, "cores", lambda: 1)  # without a number of workers, all are stepped here
-    venv = make_small(render_mode="rgb_array", workers=workers)
-    venv.reset(seed=1)
+    venv = started(render_mode="rgb_array", workers=workers)
     drawn = [generator.integers(2**40) for generator in venv.np_random]
     assert [generator.integers(2**40) for generator in venv.np_random] == drawn  # copies
     frames = venv.render()
@@ -114,8 +113,7 @@ def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
 
 def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    venv = make_small(render_mode="human")
-    venv.reset(seed=1)
+    venv = started(render_mode="human")
     assert venv.step(STILL)[4]["period"].tolist() == [1] * N
     assert (venv.render_mode, venv.render()) == ("human", (None,) * N)
     venv.close()
