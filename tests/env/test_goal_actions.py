@@ -3,7 +3,7 @@ from itertools import islice
 
 import numpy as np
 import pytest
-from gymnasium.wrappers import RecordEpisodeStatistics, RescaleAction
+from gymnasium.wrappers import FrameStackObservation, RecordEpisodeStatistics, RescaleAction
 
 from mecp_env.core.errors import ActionError, ConfigError
 from mecp_env.core.snapshot import StateError
@@ -182,8 +182,9 @@ def test_what_a_wrapper_rescales_is_cut_where_rounding_leaves_the_bounds_but_not
     cut = np.array([check_velocity(action) for action in moved])
     assert np.abs(cut).max() == 1.0
     np.testing.assert_allclose(cut, [[-1.0, -1.0], [1.0, 1.0]], atol=1e-5)
-    with pytest.raises(ConfigError, match=r"changes the action_space; put that wrapper around GoalActions"):
-        GoalActions(env)
+    for wrapped in (env, FrameStackObservation(make(), 2)):
+        with pytest.raises(ConfigError, match=r"changes the \w+_space; put that wrapper around GoalActions"):
+            GoalActions(wrapped)
     with pytest.raises(ConfigError, match="GoalActions"):
         GoalActions(make(actions="discrete"))
 

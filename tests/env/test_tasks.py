@@ -48,6 +48,7 @@ def test_fields_of_a_task_are_overridden_one_by_one() -> None:
     assert (config.reward.lost_share, config.reward.correct_coverage, config.reward.coverage) == (-0.2, 1.0, 0.0)
     assert config.layout["generate"]["rooms"] == 4
     assert config.layout["generate"]["loops"] == 2
+    assert make(observation="flat").observation_space.shape == (421,)  # with the columns of uncertainty
     with pytest.raises(ConfigError, match="romms"):
         make(romms=4)
     first = make("mecp_env/First-v0")  # small and flat

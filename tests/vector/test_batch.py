@@ -6,7 +6,6 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 
 from mecp_env.core.errors import ConfigError
@@ -49,9 +48,9 @@ def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
 def test_a_mask_resets_some_and_shows_the_others_as_they_were(batch: BatchEnv) -> None:
     batch.reset(seed=1)
     before = batch.step(STILL + 0.5)[0]
-    options = {"reset_mask": np.array([False, True, False])}
+    options = {"reset_mask": np.array([False, True, False]), "start": [2.0, 2.0, 0.0]}
     after, infos = batch.reset(seed=[0, 1, 2], options=options)
-    assert list(options) == ["reset_mask"]  # the arguments of the caller are unchanged
+    assert list(options) == ["reset_mask", "start"]  # the arguments of the caller are unchanged
     assert all(same(before[key][[0, 2]], after[key][[0, 2]]) for key in before)
     assert infos["_period"].tolist() == infos["_event"].tolist() == [False, True, False]
     assert batch.step(STILL)[4]["period"].tolist() == [2, 1, 2]
@@ -81,7 +80,7 @@ def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.Mo
     drawn = [generator.integers(2**40) for generator in venv.np_random]
     assert [generator.integers(2**40) for generator in venv.np_random] == drawn  # copies
     frames = venv.render()
-    assert [frame.shape == frames[0].shape and frame.dtype == np.uint8 for frame in frames] == [True] * N
+    assert all(frame.shape == frames[0].shape and frame.dtype == np.uint8 and frame.std() > 0 for frame in frames)
     assert [summary["periods"] for summary in venv.call("summary")] == [0] * N
     venv.set_attr("mark", [1, 2, 3])
     assert venv.get_attr("mark") == (1, 2, 3)
@@ -126,7 +125,6 @@ def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> No
     venv = make_small(
         max_episode_steps=2, autoreset_mode="SameStep", wrappers=(RecordEpisodeStatistics, FlattenObservation)
     )
-    assert venv.autoreset_mode == venv.metadata["autoreset_mode"] == AutoresetMode.SAME_STEP  # TorchRL, wrappers
     assert gymnasium.vector.VectorEnv in type(venv).__bases__  # skrl looks at the direct bases
     assert venv.reset(seed=1)[0] in venv.observation_space
     venv.step(STILL)

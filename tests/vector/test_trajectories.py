@@ -72,6 +72,7 @@ def test_any_environment(
     monkeypatch.setattr(batching, "cores", lambda: cores)
     makers = [partial(Counter, alone)] * 4
     batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
+    assert batch.autoreset_mode == batch.metadata["autoreset_mode"] == mode  # for TorchRL, and for wrappers
     assert same(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))
 
 
