@@ -47,10 +47,10 @@ def drive(toy: Toy, target: Target, limit: int = 200) -> Navigator:
     return navigator
 
 
-def target(toy: Toy, x: float, y: float, kind: GoalKind = GoalKind.OPEN) -> Target:
+def target(toy: Toy, x: float, y: float) -> Target:
     """A place; as an open edge nothing but a polygon settles it on the way, and there is none."""
     place = to_map(toy.T_map_world, np.array([[x, y]]))[0]
-    return Target.of(Goals.of([Goal(kind, *place, 1.0, toy.current)]), 0)
+    return Target.of(Goals.of([Goal(GoalKind.OPEN, *place, 1.0, toy.current)]), 0)
 
 
 @pytest.mark.parametrize("seed", range(4))
