@@ -55,9 +55,9 @@ def half_a_room(toy: Toy) -> None:
     toy.add_polygon([0, 1, 2, 3], 0, open_edges=(1,))
 
 
-@pytest.fixture
-def toy() -> Toy:
-    return Toy(np.array([1.0, 2.0, 0.0]), np.array([2.0, -1.0, 2.5]))
+@pytest.fixture(params=[np.zeros(3), np.array([2.0, -1.0, 2.5])])
+def toy(request: pytest.FixtureRequest) -> Toy:
+    return Toy(np.array([1.0, 2.0, 0.0]), request.param)
 
 
 def test_cells_near_lines_are_those_within_the_margin() -> None:
