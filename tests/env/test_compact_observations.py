@@ -11,14 +11,13 @@ import pytest
 
 import mecp_env
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.se2 import to_map
 from mecp_env.episode.compact_observations import best_place_last, goal_cells, unseen_floor
 from mecp_env.episode.observation_arrays import LAYERS
 from mecp_env.planning.goal_list import FRONTIER, OPEN, PLACE, WAIT, Goal, Goals
 from mecp_env.slam.messages import Cell
-from mecp_env.wrappers import GoalActions
-from tests.env.helpers import IDS, NEEDED, drive, make
+from tests.env.helpers import drive, make, until_over
 
-FORMATS = {"flat": (181,), "image": (3, 64, 64)}
 GOAL_NAMES = ("valid", "cos", "sin", "distance", "floor", "near", "width", "visits", "kind")
 GOAL_NAMES += ("sigma_m", "sigma_rad", "gain")
 STEPS = 25
@@ -38,19 +37,16 @@ def test_flat_columns_against_a_plain_twin(observation: dict[str, Any], actions:
     parts = {"uncertainty": True, "scan": True}
     flat_env, dict_env = (make(observation=seen, actions=actions, **OWN) for seen in (observation, parts))
     flat, tables = flat_env.reset(seed=4)[0], dict_env.reset(seed=4)[0]
-    bare = [env.env if isinstance(env, GoalActions) else env.unwrapped for env in (flat_env, dict_env)]
-    names = mecp_env.flat_names(flat_env)
+    bare, names = [flat_env.unwrapped, dict_env.unwrapped], mecp_env.flat_names(flat_env)
     for _ in range(STEPS):
-        expected = twin(tables, dict_env.unwrapped, len(flat), names)
-        assert expected.keys() == dict.fromkeys(names).keys()
+        expected = twin(tables, dict_env.unwrapped, len(flat))
+        assert expected.keys() == set(names)
         pairs = zip(names, flat.tolist(), strict=True)
         assert {name: (expected[name], seen) for name, seen in pairs if abs(expected[name] - seen) > 2e-5} == {}
-        command = np.float32([0.7, 0.3])
-        by_row = actions == "goal"
-        flat, tables = (env.unwrapped.step(command)[0] if by_row else env.step(command)[0] for env in bare)
+        flat, tables = (env.step(np.float32([0.7, 0.3]))[0] for env in bare)
 
 
-def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...]) -> dict[str, float]:
+def twin(seen: dict[str, np.ndarray], env: Any, size: int) -> dict[str, float]:
     """The flat columns from a dict observation, one by one as docs/observations.md says."""
     named = head_twin(seen, env)
     nearest_15 = 15 * np.rint(np.degrees(env.slam_output.beams.bearings) / 15) % 360
@@ -59,8 +55,8 @@ def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...
     by_row, predicted = size in (325, 421), size in (229, 421)
     goals = seen["goals"][seen["goals"][:, 8] == 1.0].astype(float)
     config = env.config.planning_config
-    wait_s = config.known_ground.wait_steps * 0.4
-    seconds = np.where(goals[:, 4] == WAIT, wait_s, goals[:, 2] / config.control.speed_m_s)
+    seconds = goals[:, 2] / config.control.speed_m_s
+    seconds[goals[:, 4] == WAIT] = config.known_ground.wait_steps * 0.4
     order = np.arange(len(goals)) if by_row else np.argsort(seconds, kind="stable")
     most = 32 if by_row else 16
     last = most - len(goals) if by_row else 0  # known ground has the last rows
@@ -75,43 +71,35 @@ def twin(seen: dict[str, np.ndarray], env: Any, size: int, names: tuple[str, ...
 def head_twin(seen: dict[str, np.ndarray], env: Any) -> dict[str, float]:
     x, y, cos, sin = seen["pose"].tolist()
     xx, xy, _, yy, _, tt = seen["pose_cov"].tolist()
-    turn = np.array([[cos, sin], [-sin, cos]])
-    to_start, cov = turn @ [-x, -y], turn @ [[xx, xy], [xy, yy]] @ turn.T
-    named = dict(zip(("start_cos", "start_sin", "start_distance"), polar_twin(to_start, 10), strict=True))
-    sigmas = halved(math.sqrt(cov[0, 0]), 0.1), halved(math.sqrt(cov[1, 1]), 0.1), halved(math.sqrt(tt), 0.05)
-    named |= dict(zip(("sigma_ahead", "sigma_left", "sigma_heading"), sigmas, strict=True))
-    named |= dict(zip(("confidence", "localised", "recognised"), seen["localisation"].tolist(), strict=True))
-    grid = env.slam_output.grid
-    named["budget"] = float(seen["budget"][0])
-    named["floor"] = halved(float((grid.label != 0).sum()) * grid.resolution_m**2, 100)
+    turn, grid = np.array([[cos, sin], [-sin, cos]]), env.slam_output.grid
+    cov = turn @ [[xx, xy], [xy, yy]] @ turn.T
+    names = "start_cos", "start_sin", "start_distance", "confidence", "localised", "recognised"
+    named = dict(zip(names, [*polar_twin(turn @ [-x, -y], 10), *seen["localisation"].tolist()], strict=True))
+    for name, variance, half in (("ahead", cov[0, 0], 0.1), ("left", cov[1, 1], 0.1), ("heading", tt, 0.05)):
+        named[f"sigma_{name}"] = halved(math.sqrt(variance), half)
+    named |= {"budget": seen["budget"][0], "floor": halved((grid.label != 0).sum() * grid.resolution_m**2, 100)}
     return named | {"goals": halved(len(env.goals), 10), "landmarks": halved(len(env.slam_output.belief.ids), 10)}
 
 
 def polar_twin(p_robot: np.ndarray, half: float) -> list[float]:
     far = math.hypot(p_robot[0], p_robot[1])
-    return [p_robot[0] / far if far else 0.0, p_robot[1] / far if far else 0.0, halved(far, half)]
+    return [*(p_robot / (far or 1.0)), halved(far, half)]
 
 
 def goal_twin(row: np.ndarray, seconds: float, env: Any) -> dict[str, float]:
-    rank = int(np.hypot(*(env.goals.p_map - from_robot(row[:2], env)).T).argmin())
+    place = to_map(env.slam_output.belief.T_map_robot, row[None, :2])
+    rank = int(np.hypot(*(env.goals.p_map - place).T).argmin())
     floor = halved(plain_unseen(env.goals.p_map[rank], env.slam_output.grid), 5) if row[4] < 4 else 0.0
-    values = [1.0, *polar_twin(row, 5), floor, 10 / (10 + seconds), halved(row[3], 1), halved(row[7], 1)]
+    values = [1.0, *polar_twin(row[:2], 5), floor, 10 / (10 + seconds), halved(row[3], 1), halved(row[7], 1)]
     values += [(row[4] + 1) / 7, halved(row[9], 0.1), halved(row[10], 0.05), halved(row[11], 10)]
     return dict(zip(GOAL_NAMES, values, strict=True))
-
-
-def from_robot(p_robot: np.ndarray, env: Any) -> np.ndarray:
-    x, y, heading = env.slam_output.belief.T_map_robot.tolist()
-    c, s = math.cos(heading), math.sin(heading)
-    return np.array([x + c * p_robot[0] - s * p_robot[1], y + s * p_robot[0] + c * p_robot[1]])
 
 
 def plain_unseen(p_map: np.ndarray, grid: Any) -> float:
     """m^2 of unknown cells that 24 beams of 5 m from a place cross before a wall, at most 2 m of each, in NumPy."""
     bearings, steps = np.arange(24) * (2 * math.pi / 24), np.arange(1, int(5.0 / grid.resolution_m) + 1)
     ways = np.stack([np.cos(bearings), np.sin(bearings)], axis=1)[:, None] * steps[:, None]
-    cells = np.floor((p_map - grid.origin) / grid.resolution_m + ways).astype(int)
-    column, row = cells[..., 0], cells[..., 1]
+    column, row = np.moveaxis(np.floor((p_map - grid.origin) / grid.resolution_m + ways).astype(int), 2, 0)
     rows, columns = grid.label.shape
     inside = (row >= 0) & (column >= 0) & (row < rows) & (column < columns)
     label = np.where(inside, grid.label[row.clip(0, rows - 1), column.clip(0, columns - 1)], Cell.UNKNOWN)
@@ -129,42 +117,31 @@ def test_unseen_floor_against_numpy_also_outside_the_grid(place: tuple[float, fl
     assert unseen_floor(*place, (label, grid.origin, grid.resolution_m)) == pytest.approx(expected)
 
 
-def test_every_offered_row_is_described_with_its_kind_and_waiting_with_its_time() -> None:
+def test_every_offered_row_is_described_with_its_kind() -> None:
     """Over whole episodes: row k of the vector is action k, valid just where the mask is.
 
     Known ground has the last rows, and the last one waits.
     """
-    env = gymnasium.make("mecp_env/ActiveHalls-v0", observation="flat", max_steps=200)
-    names = mecp_env.flat_names(env)
-    columns = {name: [names.index(f"goal_{k}_{name}") for k in range(32)] for name in ("valid", "kind", "near")}
-    env.action_space.seed(1)
-    kinds: set[int] = set()
-    for seed in range(2):
-        observation, info = env.reset(seed=seed)
-        over = False
-        while not over:
-            goals, actions = env.unwrapped.goals, env.unwrapped.goal_actions
-            assert observation[columns["valid"]].astype(np.int8).tolist() == info["action_mask"].tolist()
-            assert sorted(actions) == np.flatnonzero(info["action_mask"]).tolist()
-            assert np.rint(observation[columns["kind"]] * 7 - 1)[actions].tolist() == goals.kind.tolist()
-            assert [env.unwrapped.goal_at(action) for action in actions] == list(range(len(goals)))
-            assert goals.kind[actions == 31].tolist() == [WAIT]
-            wait_s = env.unwrapped.config.planning.known_ground.wait_steps * 0.4
-            assert observation[columns["near"][31]] == pytest.approx(10 / (10 + wait_s))
-            exploring = int((goals.kind < 4).sum())  # they come first, those with most new floor per path before others
-            assert actions[:exploring].tolist() == list(range(exploring))
-            assert (goals.kind[:exploring] < 4).all()
-            grid = env.unwrapped.slam_output.grid
-            place = grid.label, grid.origin, grid.resolution_m
-            floor = np.array([unseen_floor(x, y, place) for x, y in goals.p_map[:exploring].tolist()])
-            value = np.maximum(floor, 0.1) ** 0.7 / (goals.path_m[:exploring] + 2.0)
-            assert (np.diff(value) <= 1e-9).all()
-            kinds |= set(goals.kind.tolist())
-            action = env.action_space.sample(mask=info["action_mask"])
-            observation, _, terminated, truncated, info = env.step(action)
-            assert env.observation_space.contains(observation)
-            over = terminated or truncated
-    assert WAIT in kinds
+    env = gymnasium.make("mecp_env/ActiveHalls-v0", observation="flat", max_steps=300)
+    base, names, rng = env.unwrapped, mecp_env.flat_names(env), np.random.default_rng(0)
+    valid, kind = ([names.index(f"goal_{k}_{name}") for k in range(32)] for name in ("valid", "kind"))
+    (first, begun), kinds = env.reset(seed=0), set[int]()
+    rows = until_over(env, lambda seen: int(rng.choice(np.flatnonzero(seen[valid]))), first)
+    for observation, *_, info in itertools.chain([(first, begun)], rows):
+        goals, actions, mask = base.goals, base.goal_actions, info["action_mask"]
+        assert env.observation_space.contains(observation)
+        assert observation[valid].astype(np.int8).tolist() == mask.tolist()
+        assert sorted(actions) == np.flatnonzero(mask).tolist()
+        assert np.rint(observation[kind] * 7 - 1)[actions].tolist() == goals.kind.tolist()
+        assert [base.goal_at(action) for action in actions] == list(range(len(goals)))
+        assert goals.kind[actions == 31].tolist() == [WAIT]
+        exploring = int((goals.kind < 4).sum())  # they come first, those with most new floor per path before others
+        assert actions[:exploring].tolist() == list(range(exploring))
+        place = base.slam_output.grid.label, base.slam_output.grid.origin, base.slam_output.grid.resolution_m
+        floor = np.array([unseen_floor(x, y, place) for x, y in goals.p_map[:exploring].tolist()])
+        value = np.maximum(floor, 0.1) ** 0.7 / (goals.path_m[:exploring] + 2.0)
+        assert (np.diff(value) <= 1e-9).all()
+        kinds |= set(goals.kind.tolist())
     assert len(kinds) > 2
 
 
@@ -223,14 +200,3 @@ def test_goals_are_where_the_image_shows_them() -> None:
         *((row, column) for row in (31, 32, 33) for column in (21, 22, 23)),  # 4 m to the left
         *((row, column) for row in (62, 63) for column in (62, 63)),  # in the last corner, behind on the right
     }
-
-
-@pytest.mark.parametrize(("name", "observation"), [(name, list(FORMATS)[k % 2]) for k, name in enumerate(IDS)])
-def test_every_id_takes_a_format_as_word_and_as_setting(name: str, observation: str) -> None:
-    short = gymnasium.make(name, observation=observation, **NEEDED.get(name, {}))
-    long = gymnasium.make(name, config={"observation": {"format": observation}}, **NEEDED.get(name, {}))
-    assert short.unwrapped.config.to_dict() == long.unwrapped.config.to_dict()
-    uncertain = short.unwrapped.config.observation.uncertainty  # a word keeps the other settings of a task
-    assert uncertain == ("Active" in name)
-    assert short.observation_space.shape == ((421,) if uncertain and observation == "flat" else FORMATS[observation])
-    assert gymnasium.make(short.spec).observation_space == short.observation_space

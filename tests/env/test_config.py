@@ -16,20 +16,17 @@ from mecp_env.world.layout import load_layout
 
 UNKNOWN = [
     ({"observation": {"fromat": "flat"}}, r"EnvConfig\.observation\.fromat: no such field; did you mean 'format'\?"),
-    ({"laser": {"preste": "ideal"}}, r"EnvConfig\.laser\.preste: no such field; did you mean 'preset'\?"),
     ({"slam": {"filter": {"knd": "ekf"}}}, r"EnvConfig\.slam\.filter\.knd: no such field; did you mean 'kind'\?"),
-    ({"planning": {"navigator": {"limit_step": 3}}}, r"did you mean 'limit_steps'\?"),
     ({"reward": {"zzz": 1.0}}, r"EnvConfig\.reward\.zzz: no such field \(fields: preset, source, area"),
 ]
-WRONG = [{"max_steps": value} for value in (0, "many", 1.5, "10", True)]
-WRONG += [{"start": value} for value in ("nowhere", (1.0, 2.0), (True, 2.0, 0.0), ("1", 2.0, 0.0))]
-WRONG += [{"laser": value} for value in (3, None, {"sweeps": 99}, {"field_of_view_deg": 400.0})]
-WRONG += [{"observation": value} for value in (3, "flatt", {"map": "please"}, {"format": "flat", "scan": True})]
-WRONG += [{"observation": {"map": 1}}, {"reward": {"time": float("inf")}}, {"reward": {"contact": "-1"}}, {"layout": 3}]
-WRONG += [{"slam": {"corners": {"door_width_m": value}}} for value in (("0.7", 1.0), (1.0, 0.5))]
-WRONG += [{"slam": {"polygon": {"tolerance_sigmas": float("nan")}}}, {"slam": {"polygon": {"widest_gap_m": -0.1}}}]
-WRONG += [{"slam": {"sensor": {"heading_deg": 181.0}}}, {"slam": {"rooms": {"recognise_corners": 0}}}]
-WRONG += [{"estimator": "perfect"}, {"actions": "jump"}, {"end": {"coverage": 1.5}}, {"robot": {"max_speed_m_s": -1.0}}]
+WRONG = [{"max_steps": value} for value in (0, 1.5, "10", True)]
+WRONG += [{"start": value} for value in ("nowhere", (1.0, 2.0), (True, 2.0, 0.0))]
+WRONG += [{"laser": None}, {"laser": {"sweeps": 99}}, {"robot": {"arcs": 0}}, {"robot": {"period_s": 3.0}}]
+WRONG += [{"observation": value} for value in (3, "flatt", {"map": 1}, {"format": "flat", "scan": True})]
+WRONG += [
+    {"slam": section} for section in ({"corners": {"door_width_m": (1, 0.5)}}, {"grid": {"resolution_m": np.nan}})
+]
+WRONG += [{"layout": 3}, {"actions": "jump"}, {"end": {"coverage": 1.5}}, {"reward": {"time": np.inf}}]
 IN_VAIN = [  # nothing can be explored
     ({"slam": {"grid": {"resolution_m": 1.0}}}, r"slam\.grid\.resolution_m: 1 m, at most 0\.44 m"),
     ({"planning": {"paths": {"radius_m": 2.0}}}, r"planning\.paths\.radius_m .*: 4\.1 m, at most 1\.95 m"),
@@ -39,8 +36,8 @@ IN_VAIN = [  # nothing can be explored
 ]
 
 
-@pytest.mark.parametrize(("fields", "message"), UNKNOWN + IN_VAIN, ids=repr)
-def test_unknown_names_get_the_nearest_and_what_explores_nothing_the_bound(fields, message):
+@pytest.mark.parametrize(("fields", "message"), UNKNOWN + IN_VAIN + [(each, next(iter(each))) for each in WRONG])
+def test_unknown_names_get_the_nearest_and_wrong_values_their_field_and_bound(fields, message):
     with pytest.raises(ConfigError, match=message):
         EnvConfig.build(fields)
     with pytest.raises(ConfigError, match=message):
@@ -48,12 +45,11 @@ def test_unknown_names_get_the_nearest_and_what_explores_nothing_the_bound(field
 
 
 def test_an_unknown_keyword_is_refused_in_the_words_of_python():
+    said = "got an unexpected keyword argument 'layuot'; did you mean 'layout'"
     for make in (EnvConfig.build, partial(gymnasium.make, "mecp_env/Layout-v0")):
-        with pytest.raises(
-            TypeError, match="got an unexpected keyword argument 'layuot'; did you mean 'layout'"
-        ) as told:
+        with pytest.raises(KeywordError, match=said):
             make(layuot="paper")
-        assert isinstance(told.value, KeywordError)
+    assert issubclass(KeywordError, TypeError)
     with pytest.raises(MecpError, match="atlantis"):
         gymnasium.make("mecp_env/Layout-v0", layout="atlantis")
     with pytest.raises(ConfigError, match="render_mode"):
@@ -64,27 +60,10 @@ def test_an_unknown_keyword_is_refused_in_the_words_of_python():
         SlamConfig.parse({"panorama": {1: 2}})
 
 
-@pytest.mark.parametrize("fields", WRONG, ids=repr)
-def test_wrong_values_are_refused_with_field_and_value(fields):
-    with pytest.raises(ConfigError, match=next(iter(fields))):
-        EnvConfig.build(fields)
-
-
-@pytest.mark.parametrize(
-    ("fields", "message"),
-    [
-        (
-            {"slam": {"filter": {"kind": "ekff"}}},
-            "EnvConfig.slam.filter.kind: Input should be 'riekf', 'riekf_submaps', ",
-        ),
-        ({"crowd": {"people": "4"}}, "EnvConfig.crowd.people: Input should be a number (given: '4')"),
-        ({"slam": {"filter": {"kind": 1}, "rooms": {"doorway_m": "x"}}}, "EnvConfig.slam.filter.kind: "),
-    ],
-)
-def test_a_wrong_value_in_a_section_is_told_once_by_its_whole_path(fields, message):
+def test_a_wrong_value_in_a_section_is_told_once_by_its_whole_path():
     with pytest.raises(ConfigError) as told:
-        EnvConfig.build(fields)
-    assert str(told.value).startswith(message)
+        EnvConfig.build({"slam": {"filter": {"kind": "ekff"}, "rooms": {"doorway_m": "x"}}})
+    assert str(told.value).startswith("EnvConfig.slam.filter.kind: Input should be 'riekf', 'riekf_submaps', ")
     assert str(told.value).count("Config.") == str(told.value).count("EnvConfig.") == str(told.value).count("(given")
 
 
@@ -109,7 +88,6 @@ def test_keywords_override_the_config_field_by_field():
 
 def test_the_sensor_model_follows_the_laser_unless_it_is_set():
     fixed = EnvConfig.build(laser={"preset": "lms200"}, slam={"sensor": {"range_sigma_m": 0.2}})
-    assert fixed.estimator_config.sensor.range_sigma_m == 0.2
     assert EnvConfig.build(fixed.to_dict()).estimator_config.sensor.range_sigma_m == 0.2
     config = EnvConfig.build(laser={"field_of_view_deg": 180.0, "x_m": 0.1, "heading_deg": -90.0})
     sensor = EnvConfig.build(config.to_dict()).estimator_config.sensor

@@ -1,8 +1,9 @@
 from fractions import Fraction
+from itertools import islice
 
 import numpy as np
 import pytest
-from gymnasium.wrappers import FrameStackObservation, RescaleAction
+from gymnasium.wrappers import FrameStackObservation, RecordEpisodeStatistics, RescaleAction
 
 from mecp_env.core.errors import ActionError, ConfigError
 from mecp_env.core.snapshot import StateError
@@ -12,21 +13,19 @@ from mecp_env.episode.observation_arrays import GOALS
 from mecp_env.planning.breadth_first import BreadthFirst
 from mecp_env.planning.goal_list import Goal, GoalKind, Goals, RowTimes
 from mecp_env.wrappers import GoalActions
-from tests.env.helpers import below, episode_of, make, same
+from tests.env.helpers import below, episode_of, make, same, until_over
+
+
+def drives(env, seed=1):
+    """The result of each drive of an exploration by the paper's explorer, up to the end of the episode."""
+    policy = BreadthFirst()
+    observation, _ = env.reset(seed=seed)
+    return until_over(env, lambda seen: policy.act(seen, env.get_wrapper_attr("action_masks")()), observation)
 
 
 def explore(env, seed=1, limit=60):
-    """The results of an exploration by the paper's explorer."""
-    policy = BreadthFirst()
-    observation, _ = env.reset(seed=seed)
-    rows = []
-    for _ in range(limit):
-        action = policy.act(observation, env.get_wrapper_attr("action_masks")())
-        rows.append(env.step(action))
-        observation = rows[-1][0]
-        if rows[-1][2] or rows[-1][3]:
-            break
-    return rows
+    """The results of at most `limit` drives."""
+    return list(islice(drives(env, seed), limit))
 
 
 @pytest.mark.parametrize("laser", [{"preset": "paper", "sweeps": 4}, {"field_of_view_deg": 180.0, "beams": 360}])
@@ -44,8 +43,7 @@ def test_the_explorer_completes_two_rooms_with_a_true_map(laser):
 
 
 def test_the_mask_tells_the_rows_with_goals_and_is_what_the_space_samples_with():
-    env = make(actions="goal")
-    env.action_space.seed(0)
+    env = make(actions="goal", layout="paper")
     observation, info = env.reset(seed=1)
     assert info["goals"] == info["action_mask"].sum() > 0
     for _ in range(4):
@@ -53,24 +51,15 @@ def test_the_mask_tells_the_rows_with_goals_and_is_what_the_space_samples_with()
         assert (mask.dtype, mask.shape) == (np.int8, (GOALS,))
         assert np.array_equal(mask == 1, observation["goals"][:, 8] == 1.0)
         assert np.array_equal(mask == 1, env.get_wrapper_attr("action_masks")())
-        action = env.action_space.sample(mask=mask)
-        assert mask[action] or (not mask.any() and action == 0)
-        observation, _, terminated, truncated, info = env.step(action)
-        if terminated or truncated:
-            break
+        observation, *_, info = env.step(env.action_space.sample(mask=mask))
+        assert info["event"] != "masked"
     assert "action_mask" not in make().reset(seed=1)[1]
-
-
-def test_a_masked_choice_is_a_drive_to_the_nearest_goal_and_an_event():
-    env, other = (make(actions="goal", layout="paper") for _ in range(2))
-    env.reset(seed=1)
-    other.reset(seed=1)
-    nearest = int(other.unwrapped.goals.path_m.argmin())
-    *masked, info = env.step(GOALS - 1)
-    *chosen, its_info = other.step(nearest)
-    assert same(masked, chosen)
+    other = make(actions="goal", layout="paper")
+    other.unwrapped.set_state(env.unwrapped.get_state())
+    *masked, info = env.step(GOALS - 1)  # an empty row: the robot drives to the nearest goal
+    *chosen, its_info = GoalActions(other.unwrapped).step(int(other.unwrapped.goals.path_m.argmin()))
     assert info["event"] == "masked"
-    assert same(info | {"event": ""}, its_info | {"event": ""})
+    assert same([*masked, info | {"event": ""}], [*chosen, its_info | {"event": ""}])
 
 
 def test_the_best_row_explores_and_waiting_is_the_last_resort():
@@ -93,35 +82,27 @@ def test_rewards_are_summed_and_the_callback_sees_every_step():
     assert reward == pytest.approx(sum(step[1] for step in seen))
     assert [step[4]["period"] for step in seen] == list(range(1, len(seen) + 1))
     assert {step[4]["event"] for step in seen} == {""}  # the arguments of the callback are not changed later
-    env = make(actions="goal", max_steps=2)
+    env = GoalActions(RecordEpisodeStatistics(make(max_steps=2)))  # whose wrappers below see every step, too
     env.reset(seed=1)
     _, _, terminated, truncated, info = env.step(0)
     assert (terminated, truncated, info["event"], info["periods"]) == (False, True, "ended", 2)
+    assert info["episode"]["l"] == 2
 
 
 def test_no_episode_ends_as_complete_while_the_pose_is_searched_for(monkeypatch):
     """`50015848`: the planner refused every goal from a wrong pose, and 19 % of the floor were called complete."""
-    env, policy = make(actions="goal", layout="paper", max_steps=80), BreadthFirst()
-    observation, _ = env.reset(seed=1)
+    env, left, tried = make(actions="goal", layout="paper", max_steps=80), [], []
+    rows = drives(env)
     guard = episode_of(env).pipeline.guard
     guard.localised, guard.doubts = False, guard.config.scans
     monkeypatch.setattr(type(guard), "search", lambda *_: None)
-    over, terminated, left, tried = False, False, [], []
-    while not over:
-        action = policy.act(observation, env.get_wrapper_attr("action_masks")())
-        observation, _, terminated, over, info = env.step(action)
-        left.append(info["goals"])
+    for row in rows:
+        left.append(row[4]["goals"])
         tried.append(len(episode_of(env).goal_history.drives))
-    assert not terminated
-    assert not info["localised"]
+    assert row[2:4] == (False, True)
+    assert not row[4]["localised"]
     assert min(left) > 0  # all are offered again when none is left
     assert max(tried) >= 2  # not the same ones in turn
-
-
-def test_only_the_environment_itself_can_be_wrapped():
-    with pytest.raises(ConfigError, match="GoalActions"):
-        GoalActions(make(actions="discrete"))
-    assert GoalActions(make()).spec.additional_wrappers[-1].name == "GoalActions"
 
 
 def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
@@ -136,20 +117,15 @@ def test_a_robot_with_a_blind_side_looks_around_while_it_waits():
         moved = env.unwrapped.view().T_world_robot - before
         assert (abs(moved[2]) > 0.1) == turns
         assert np.hypot(*moved[:2]) < 1e-3
-        env.close()
 
 
 def test_an_episode_on_a_submap_continues_bit_for_bit():
     """The state holds the submap and the map at rest; a damaged one is refused."""
     config = {"actions": "goal", "layout": "office", "slam": {"filter": {"kind": "riekf_submaps", "submap": 10}}}
-    env, policy = make(**config), BreadthFirst()
-    observation, _ = env.reset(seed=3)
-    for _ in range(60):
-        observation, *_ = env.step(policy.act(observation, env.get_wrapper_attr("action_masks")()))
-        landmark_filter = episode_of(env).pipeline.filter
-        if landmark_filter.rest is not None:
-            break
-    assert landmark_filter.rest is not None
+    env = make(**config)
+    rows = drives(env, seed=3)
+    while episode_of(env).pipeline.filter.rest is None:
+        next(rows)
     state, other = env.unwrapped.get_state(), make(**config)
     row = env.step(0)
     other.reset(seed=5)
@@ -179,13 +155,11 @@ def test_a_drive_that_is_looked_at_gives_what_another_one_gives(monkeypatch):
 NAN, INF = float("nan"), float("inf")
 GOOD_VELOCITIES = [np.array([0.5, -1.0], np.float32), np.array([1, -1]), [0.5, 1], (0.0, np.float32(1.0))]
 BAD_VELOCITIES = [None, "stop", 1.0, {0.1, 0.2}, [], [0.1, 0.2, 0.3], [[0.1, 0.2]], ["a", "b"], [None, 0.0]]
-BAD_VELOCITIES += [[True, False], [0.5, 1j], [Fraction(1, 2), 0.0], [10**400, 0], [-(10**400), 0], (NAN, 0.0)]
-BAD_VELOCITIES += [(0.0, INF), (0.0, -INF), (1.0001, 0.0), np.array(0.5), np.zeros(3), np.zeros((1, 2))]
-BAD_VELOCITIES += [np.zeros(2, complex), np.zeros(2, bool), np.array(["a", "b"]), np.array([0.1, 0.2], object)]
-BAD_VELOCITIES += [np.array([NAN, 0.0], np.float32), np.array([1e38, 0.0], np.float32), np.array([2, 0])]
+BAD_VELOCITIES += [[True, False], [0.5, 1j], [Fraction(1, 2), 0.0], [10**400, 0], (NAN, 0.0), (0.0, -INF)]
+BAD_VELOCITIES += [(1.0001, 0.0), np.array(0.5), np.zeros((1, 2)), np.zeros(2, complex), np.array([0.1, 0.2], object)]
+BAD_VELOCITIES += [np.array([NAN, 0.0], np.float32), np.array([2, 0])]
 GOOD_CHOICES = [0, 4, np.int64(3), np.uint8(2), np.array(1)]
 BAD_CHOICES = [None, "1", 1.0, True, np.True_, NAN, -1, 5, 10**400, [1], np.array([1]), np.array(1.0), np.array(True)]
-BAD_CHOICES += [np.float32(1), np.int64(-1), np.array(5)]
 BAD = {"velocity": BAD_VELOCITIES, "discrete": BAD_CHOICES, "goal": [32, -1, 1.0, None, "1", [1]]}
 
 
@@ -200,7 +174,7 @@ def test_good_actions_pass_unchanged_and_a_refusal_names_component_value_and_bou
         check_choice(7, 5)
 
 
-def test_what_a_wrapper_rescales_is_cut_where_rounding_leaves_the_bounds():
+def test_what_a_wrapper_rescales_is_cut_where_rounding_leaves_the_bounds_but_not_below_a_drive():
     low, high = np.float32(-9.2), np.float32(-8.9)
     env = RescaleAction(make(actions="velocity"), low, high)
     moved = [env.action(np.full(2, bound, np.float32)) for bound in (low, high)]
@@ -208,13 +182,11 @@ def test_what_a_wrapper_rescales_is_cut_where_rounding_leaves_the_bounds():
     cut = np.array([check_velocity(action) for action in moved])
     assert np.abs(cut).max() == 1.0
     np.testing.assert_allclose(cut, [[-1.0, -1.0], [1.0, 1.0]], atol=1e-5)
-
-
-@pytest.mark.parametrize(("wrapper", "given"), [(FrameStackObservation, (2,)), (RescaleAction, np.float32([0.0, 2.0]))])
-def test_a_wrapper_below_that_changes_observations_or_commands_is_refused(wrapper, given):
-    """A drive would send it commands of another meaning, and its result would show the observation without it."""
-    with pytest.raises(ConfigError, match=r"changes the \w+_space; put that wrapper around GoalActions"):
-        GoalActions(wrapper(make(actions="velocity"), *given))
+    for wrapped in (env, FrameStackObservation(make(), 2)):
+        with pytest.raises(ConfigError, match=r"changes the \w+_space; put that wrapper around GoalActions"):
+            GoalActions(wrapped)
+    with pytest.raises(ConfigError, match="GoalActions"):
+        GoalActions(make(actions="discrete"))
 
 
 @pytest.mark.parametrize("kind", BAD)

@@ -1,11 +1,12 @@
 """Each term of the reward: formula and unit, more reward for better results, none for detours."""
 
+import math
 from itertools import pairwise
-from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from scipy import stats
 from scipy.special import erf
 
 from mecp_env.config import EnvConfig, RewardConfig
@@ -13,23 +14,27 @@ from mecp_env.core.errors import ConfigError
 from mecp_env.episode.potentials import (
     BLOCK_CELLS,
     NEAR_M,
+    TAU_M,
     MetricMemory,
     RewardInputs,
+    a_optimality,
     coverage,
+    d_optimality,
+    entropy,
+    expected_area,
     expected_correct_m2,
     metric_terms,
     nearness,
+    register_reward,
     start_metrics,
+    t_optimality,
 )
 from mecp_env.episode.rewards import (
-    TERMS,
     RewardMemory,
-    apply_weights,
     events,
     information,
     measured_terms,
     new_memory,
-    weights_of,
 )
 from mecp_env.slam.messages import Cell
 from tests.env.helpers import drive, episode_of, make, started, until_over, world_of
@@ -64,13 +69,9 @@ def test_quantities_in_their_units():
         moment(known=10, version=1, pose=4e-4, landmarks=(0.04, 0.01)),
         moment(known=30, version=2, pose=1e-4, landmarks=(0.01, 0.01)),
     )
-    assert measured["area"] == pytest.approx(20 * CELL_M2)
-    assert measured["pose_information"] == pytest.approx(0.5 * 3 * np.log(4.0))
-    assert measured["landmark_information"] == pytest.approx(0.5 * np.log(4.0))  # log 4 of one, nothing of the other
-
-
-def test_area_that_a_redrawn_map_loses_is_taken_back():
-    assert sums(moment(10, 1), moment(40, 2), moment(30, 3))["area"] == pytest.approx(20 * CELL_M2)
+    expected = {"area": 20 * CELL_M2, "pose_information": 0.5 * 3 * np.log(4.0)}
+    expected["landmark_information"] = 0.5 * np.log(4.0)  # log 4 of one, nothing of the other
+    assert {name: measured[name] for name in expected} == pytest.approx(expected)
 
 
 def test_area_drawn_from_a_pose_that_is_not_known_counts_once_it_is_known_again():
@@ -90,16 +91,11 @@ def test_how_well_is_drawn():
     assert sums(moment(10, 1), unsure, config=RewardConfig(area_sigma_m=1.0))["area"] > 0.0
 
 
-def test_a_map_that_diverged_is_worth_nothing():
+def test_a_map_that_diverged_is_worth_nothing_and_the_first_landmark_counts_from_a_metre():
     measured = sums(moment(10, 1), moment(80, 2), moment(90, 3, diverged=True))
     assert measured["area"] == pytest.approx(-10 * CELL_M2)  # the area of the start is lost too
     assert measured["landmark_information"] == pytest.approx(0.5 * 2 * np.log(0.01))
-
-
-def test_the_first_landmark_counts_from_a_metre():
     assert sums(moment(landmarks=()), moment(landmarks=(0.01,)))["landmark_information"] == pytest.approx(np.log(100.0))
-    more = sums(moment(landmarks=(0.04, 0.04)), moment(landmarks=(0.04,) * 9))
-    assert more["landmark_information"] == pytest.approx(0.0)  # copies
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -133,7 +129,7 @@ def test_information_is_that_of_determinants_and_finite(seed):
 def test_events():
     memory = RewardMemory(area_m2=150.0)
     calm = dict.fromkeys(("contact", "contact_share", "lost_share", "completion", "divergence", "lost"), 0.0)
-    calm |= {"time": 1.0}
+    calm["time"] = 1.0
     assert events(memory, happened()) == calm
     hit = happened(contact=True, diverged=True, max_steps=500)
     assert events(memory, hit) == calm | {"contact": 1.0, "contact_share": 0.002, "divergence": 1.0}
@@ -142,27 +138,16 @@ def test_events():
     assert events(memory, happened(terminated=True))["completion"] == 1.5  # of 100 m^2
 
 
-def test_weights():
-    config = RewardConfig(area=2.0, contact=-3.0, time=-1.0, pose_information=0.0, landmark_information=0.0)
-    found = apply_weights(weights_of(config), dict.fromkeys(TERMS, 1.0))
-    expected = {"area": 2.0, "contact": -3.0, "time": -1.0, "completion": 10.0, "divergence": -20.0}
-    assert {name: value for name, value in found.items() if value} == expected
-    assert CONFIG.divergence < CONFIG.time * EnvConfig().max_steps < 0.0  # to diverge costs more than a whole episode
-
-
 @pytest.mark.parametrize("source", ["belief", "truth"])
 def test_the_area_of_an_episode_telescopes(source):
-    env = make(reward={"source": source, "area": 1.0})
-    _, info = env.reset(seed=1)
-    base = env.unwrapped
-    start = episode_of(base).memory.area_m2
-    assert start > 5.0
+    env = started(reward={"source": source, "area": 1.0})
+    start, before = episode_of(env).memory.area_m2, env.info()["coverage"]
     rows = drive(env, 15)
     gained = sum(row[4]["reward_area"] for row in rows)
-    assert gained == pytest.approx(episode_of(base).memory.area_m2 - start)
+    assert gained == pytest.approx(episode_of(env).memory.area_m2 - start)
     if source == "truth":
-        coverage = rows[-1][4]["coverage"] - info["coverage"]
-        assert gained == pytest.approx(coverage * world_of(base).truth.free_cells * 0.01)
+        seen = rows[-1][4]["coverage"] - before
+        assert gained == pytest.approx(seen * world_of(env).truth.free_cells * 0.01)
 
 
 def test_a_filter_that_diverged_completes_nothing():
@@ -180,27 +165,26 @@ FREE_M2 = 50.0
 TRUTH = {"source": "truth", "contact_share": 0.0, "lost_share": 0.0}
 
 
-def run(env: gymnasium.Env, seed: int = 0, speed: float = 1.0) -> tuple[list[float], dict[str, Any]]:
-    """Rewards of a random walk, and the last info."""
+def run(env: gymnasium.Env, seed: int, speed: float, metric: str) -> tuple[float, float]:
+    """The return of a random walk, and the metric over its steps."""
     env.reset(seed=seed)
     rng = np.random.default_rng(seed)
     rows = list(until_over(env, lambda _: rng.uniform(-speed, speed, 2).astype(np.float32)))
-    return [row[1] for row in rows], rows[-1][4]
+    return sum(row[1] for row in rows), rows[-1][4][f"{metric}_over_steps"]
 
 
 @pytest.mark.parametrize(
     ("metric", "shaping", "end"), [("coverage", 0.0, {}), ("correct_coverage", 0.3, {"coverage": 0.6})]
 )
 def test_with_the_source_truth_the_return_is_the_metric(metric: str, shaping: float, end: dict[str, float]) -> None:
-    keywords = {"layout": "two_rooms", "max_steps": 60, "end": end}
-    env = make(**keywords, reward={"preset": metric, "shaping": shaping, **TRUTH})
-    paced, moved = make(**keywords, reward={"preset": metric, "pace": 1.0, **TRUTH}), []
+    rewards = {"preset": metric, "shaping": shaping, **TRUTH}, {"preset": metric, "pace": 1.0, **TRUTH}
+    (env, paced), moved = (make(max_steps=60, end=end, reward=reward) for reward in rewards), []
     for seed, speed in enumerate((0.5, 1.0)):
-        rewards, info = run(env, seed, speed=speed)
-        assert sum(rewards) == pytest.approx(info[f"{metric}_over_steps"], abs=1e-9)
-        assert 0.0 < sum(rewards) <= 1.0
-        rewards, info = run(paced, speed=speed)
-        moved.append(sum(rewards) - info[f"{metric}_over_steps"])
+        returned, expected = run(env, seed, speed, metric)
+        assert returned == pytest.approx(expected, abs=1e-9)
+        assert 0.0 < returned <= 1.0
+        returned, expected = run(paced, 0, speed, metric)
+        moved.append(returned - expected)
     assert moved == pytest.approx([moved[0]] * 2, abs=1e-9)  # pace moves the return by what no action changes
     assert -1.0 < moved[0] < 0.0
 
@@ -247,8 +231,8 @@ def test_expected_correct_area_against_a_plain_twin(seed: int) -> None:
 
 def test_presets_and_what_contradicts_them() -> None:
     assert EnvConfig().reward == EnvConfig(reward="coverage").reward
-    assert EnvConfig.build(reward={"area": 0.2}).reward.preset == "terms"  # weights alone
-    assert EnvConfig.build(reward={"contact_share": -0.2}).reward.preset == "coverage"
+    for field, preset in (("area", "terms"), ("contact_share", "coverage")):  # weights alone
+        assert EnvConfig.build(reward={field: -0.2}).reward.preset == preset
     assert EnvConfig.build({"reward": "correct_coverage"}, reward="terms").reward.completion == 10.0
     for name, value in (("area", 0.2), ("contact", -1.0), ("correct_coverage", 0.5)):
         with pytest.raises(ConfigError, match=rf"(?s){name}.*'coverage'"):
@@ -263,3 +247,77 @@ def inputs_of(share: float | None, budget: float) -> RewardInputs:
     shares = None if share is None else (share, share)
     empty = grid(np.zeros((8, 8)), resolution_m=0.5)
     return reward_inputs(belief(), empty, true_shares=shares, free_area_m2=FREE_M2, budget=budget)
+
+
+def half_known(sigmas: tuple[float, ...], pose: float = 1e-2, diverged: bool = False) -> RewardInputs:
+    """The left half of a grid of 8 m by 4 m is known, and landmarks at 1 m, 5 m, ... of these sigmas."""
+    p_map = [(1.0 + 4.0 * n, 2.0) for n in range(len(sigmas))]
+    known = belief(p_map=p_map, pose_cov=pose**2, covs=np.square(sigmas))
+    return reward_inputs(known, grid(np.tile(np.arange(80) < 40, (40, 1))), diverged=diverged)
+
+
+def reliability(sigma: float) -> float:
+    return 1.0 - math.exp(-(TAU_M**2) / (2.0 * sigma**2))
+
+
+def test_expected_area_is_the_mapped_area_times_the_reliability_of_the_nearest_landmark() -> None:
+    assert expected_area(half_known((0.1,))) == pytest.approx(16.0 * reliability(0.1))
+    split = 4.0 * (3.2 * reliability(0.05) + 0.8 * reliability(0.5))  # the second landmark is nearer from 3 m on
+    assert expected_area(half_known((0.05, 0.5))) == pytest.approx(split, rel=0.05)
+
+
+def test_entropy_is_that_of_cells_that_are_right_with_a_probability() -> None:
+    right = 0.5 * (1.0 + reliability(0.1))
+    assert entropy(half_known((0.1,))) == pytest.approx(16.0 * (math.log(2.0) - stats.bernoulli(right).entropy()))
+
+
+def test_optimality_criteria_of_eigenvalues() -> None:
+    now = half_known((0.1, 0.4), pose=0.2)
+    now.belief.covs[1] = [[0.16, 0.07], [0.07, 0.1]]
+    values = np.array([0.04, 0.04, 0.04, 0.01, 0.01, *np.linalg.eigvalsh(now.belief.covs[1])])
+    assert d_optimality(now) == pytest.approx(-0.5 * np.log(values).mean())
+    assert a_optimality(now) == pytest.approx(-0.5 * math.log(values.mean()))
+    assert t_optimality(now) == pytest.approx(0.5 * math.log((1.0 / values).mean()))
+
+
+@pytest.mark.parametrize("potential", [expected_area, entropy, d_optimality, a_optimality, t_optimality])
+def test_a_better_belief_is_worth_more_and_a_diverged_one_least(potential) -> None:
+    poor, good = potential(half_known((0.3, 0.3))), potential(half_known((0.1, 0.1)))
+    assert good > poor > potential(half_known((0.1, 0.1), diverged=True))
+
+
+def landmarks_seen(inputs: RewardInputs) -> float:
+    return float(len(inputs.belief.ids))
+
+
+def test_a_custom_reward_by_name() -> None:
+    register_reward("landmarks_seen", landmarks_seen)
+    env = started(reward={"custom": {"landmarks_seen": 2.0}})
+    begin, rows = env.info()["landmarks"], drive(env, 15)
+    assert sum(row[4]["reward_landmarks_seen"] for row in rows) == 2.0 * (rows[-1][4]["landmarks"] - begin)
+
+
+WRONG = [
+    ({"landmark_seen": 1.0}, r"custom\.landmark_seen: landmark_seen: not registered.*did you mean 'landmarks_seen'"),
+    ({"area": 1.0}, "area: one of ours"),
+    ({"x": "much"}, "x"),
+]
+FAILING = [
+    (lambda inputs: math.nan, "gave nan.*, a finite number expected"),
+    (lambda inputs: None, "gave None.*, a finite number expected"),
+    (lambda inputs: inputs.walls, r"failed: AttributeError: .*\(<lambda>, line \d+\)"),
+]
+
+
+def test_a_wrong_custom_reward_is_named() -> None:
+    register_reward("landmarks_seen", landmarks_seen)
+    for custom, message in WRONG:
+        with pytest.raises(ConfigError, match=message):
+            make(reward={"custom": custom})
+    for name, potential in (("two words", landmarks_seen), ("seen", 3)):
+        with pytest.raises(ConfigError):
+            register_reward(name, potential)
+    for potential, said in FAILING:
+        register_reward("wrong", potential)
+        with pytest.raises(ConfigError, match=f"potential 'wrong' {said}"):
+            make(reward={"custom": {"wrong": 1.0}}).reset(seed=0)

@@ -5,7 +5,6 @@ The attempts use the true pose, which no agent has.
 
 import math
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -22,36 +21,12 @@ from tests.env.helpers import episode_of, until_over, world_of
 
 Array = NDArray[np.float64]
 Drive = Iterator[tuple[float, float]]
+Infos = list[dict[str, Any]]  # of each step
 
 
-@dataclass
-class Episode:
-    """The rewards of an episode, step by step."""
-
-    free_m2: float = 0.0  # of the building
-    mapped_m2: float = 0.0  # what counted as mapped at the end
-    rewards: list[dict[str, float]] = field(default_factory=list)  # of each term
-    metres: list[float] = field(default_factory=list)
-    last: dict[str, Any] = field(default_factory=dict)
-
-    def note(self, info: dict[str, Any]) -> None:
-        self.rewards.append({name: info[f"reward_{name}"] for name in TERMS})
-        self.metres.append(info["metres"])
-        self.last = info
-
-    def weigh_up(self, env: MecpEnv) -> None:
-        """Record the state at the end."""
-        self.free_m2, self.mapped_m2 = world_of(env).truth.free_cells * CELL_M**2, episode_of(env).memory.area_m2
-
-    @property
-    def seen_m2(self) -> float:
-        """The true free area that was seen."""
-        return float(self.last["coverage"]) * self.free_m2
-
-    def paid(self, *terms: str, until_m: float = math.inf) -> float:
-        """The sum of some terms up to a distance driven."""
-        rows = zip(self.rewards, self.metres, strict=True)
-        return sum(row[name] for row, metres in rows if metres <= until_m for name in terms)
+def paid(infos: Infos, *terms: str, until_m: float = math.inf) -> float:
+    """The sum of some terms of the reward up to a distance driven."""
+    return sum(info[f"reward_{name}"] for info in infos if info["metres"] <= until_m for name in terms)
 
 
 def stand(env: MecpEnv, rng: np.random.Generator) -> Drive:
@@ -101,26 +76,22 @@ def go(env: MecpEnv, p_world: Array) -> Drive:
         yield max(0.0, math.cos(turn)) ** 3, min(max(1.5 * turn, -1.0), 1.0)
 
 
-def attempt(name: str, seed: int, **keywords: Any) -> Episode:
-    """An episode of an attempt."""
-    env, episode = MecpEnv(**keywords), Episode()
+def attempt(name: str, seed: int, **keywords: Any) -> tuple[Infos, MecpEnv]:
+    """An episode of an attempt, and its environment at the end."""
+    env = MecpEnv(**keywords)
     env.reset(seed=seed)
     drive = ATTEMPTS[name](env, np.random.default_rng(seed))
-    for *_, info in until_over(env, lambda _: np.array(next(drive), np.float32)):
-        episode.note(info)
-    episode.weigh_up(env)
-    return episode
+    return [row[4] for row in until_over(env, lambda _: np.array(next(drive), np.float32))], env
 
 
-def explore(seed: int, **keywords: Any) -> Episode:
+def explore(seed: int, **keywords: Any) -> Infos:
     """An episode of the breadth-first explorer."""
-    episode, policy = Episode(), BreadthFirst()
-    env = GoalActions(MecpEnv(actions="goal", **keywords), callback=lambda step: episode.note(step[4]))
+    infos, policy = Infos(), BreadthFirst()
+    env = GoalActions(MecpEnv(actions="goal", **keywords), callback=lambda step: infos.append(step[4]))
     observation, _ = env.reset(seed=seed)
     for _ in until_over(env, lambda seen: policy.act(seen, env.action_masks()), observation):
         pass  # the callback notes each step
-    episode.weigh_up(env.base)
-    return episode
+    return infos
 
 
 STEPS = 300  # of an attempt; an exploration of `paper` takes some 500, and pays for their time
@@ -131,23 +102,24 @@ OWN = [name for name in TERMS if name not in (*METRIC_PRESETS, *SHARES)]
 
 
 @pytest.fixture(scope="module")
-def tries() -> dict[str, Episode]:
+def tries() -> dict[str, tuple[Infos, MecpEnv]]:
     return {name: attempt(name, 0, max_steps=STEPS, **TASK) for name in ATTEMPTS}
 
 
 def test_an_attempt_loses_by_episode_and_by_metre_and_no_area_is_paid_that_there_is_not(tries) -> None:
     honest = explore(0, max_steps=4 * STEPS, **TASK)
-    for given in tries.values():
-        assert given.paid(*OWN) < 0.2 * honest.paid(*OWN)
-        assert given.paid(*OWN) < honest.paid(*OWN, until_m=max(given.metres[-1], 5.0))  # without completion
-        assert given.paid("completion") == 0.0
-        assert given.mapped_m2 <= 1.1 * given.seen_m2  # walls are mapped too
-        assert given.paid("area") <= WEIGHTS.area * given.mapped_m2
+    for infos, env in tries.values():
+        assert paid(infos, *OWN) < 0.2 * paid(honest, *OWN)
+        assert paid(infos, *OWN) < paid(honest, *OWN, until_m=max(infos[-1]["metres"], 5.0))  # without completion
+        assert paid(infos, "completion") == 0.0
+        mapped_m2, free_m2 = episode_of(env).memory.area_m2, world_of(env).truth.free_cells * CELL_M**2
+        assert mapped_m2 <= 1.1 * infos[-1]["coverage"] * free_m2  # walls are mapped too
+        assert paid(infos, "area") <= WEIGHTS.area * mapped_m2
 
 
 def test_under_a_metric_every_attempt_earns_less_than_exploring(tries) -> None:
     honest = explore(0, max_steps=STEPS, **TASK)
     for metric in METRIC_PRESETS:
-        paid = {name: given.paid(metric, *SHARES) for name, given in tries.items()}
-        assert max(paid.values()) < 0.9 * honest.paid(metric, *SHARES)
-        assert paid["stand"] <= paid["shuttle"] + 0.1  # penalties are bounded by .1 each
+        earned = {name: paid(infos, metric, *SHARES) for name, (infos, _) in tries.items()}
+        assert max(earned.values()) < 0.9 * paid(honest, metric, *SHARES)
+        assert earned["stand"] <= earned["shuttle"] + 0.1  # penalties are bounded by .1 each

@@ -103,8 +103,7 @@ def mutate(state: dict[str, Any], known: dict[str, Any], rng: np.random.Generato
 
 def run(first: int, count: int) -> dict[str, int]:
     """Mutate `count` snapshots; the seed of each is written before it is tried, so that a crash is known."""
-    env = started(seed=3, laser={"sweeps": 1, "range_sigma_m": 0.01, "bearing_sigma_deg": 0.0}, crowd={"people": 2})
-    rng = np.random.default_rng(0)
+    env, rng = started(seed=3, crowd={"people": 2}), np.random.default_rng(0)
     for _ in range(25):
         env.step(np.array([0.7, rng.uniform(-0.5, 0.5)], np.float32))
     good, ends = env.get_state(), {"refused": 0, "running": 0}

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from mecp_env.core.errors import ConfigError, LogError
-from mecp_env.evaluation.log_run import LogDrive, LogRun, LogRunConfig, config_for, fault_of, run_log
+from mecp_env.evaluation.log_run import LogDrive, LogRunConfig, config_for, fault_of, run_log
 from mecp_env.logs import Log, read_log
 from mecp_env.slam.pipeline import SlamPipeline
 from tests.logs.files import BEAMS, BEARINGS, drive, write_archive
@@ -79,30 +79,24 @@ def test_a_run_says_that_it_mapped_on_while_the_pose_was_lost(tmp_path: Path, un
     assert run.result().metrics()["resumed"] == 1
 
 
-@pytest.fixture(scope="module")
-def run(tmp_path_factory: pytest.TempPathFactory) -> LogRun:
-    return run_log(read_log(write_archive(tmp_path_factory.mktemp("logs") / "a.npz", scans=60)))
-
-
-def test_diverged_and_lost_to_its_end(run: LogRun) -> None:
-    assert fault_of(run, LogRunConfig()) is None
-    assert "--noise.scale" in str(fault_of(replace(run, ended="diverged"), LogRunConfig()))
-    for known, unknown, fails in ((50, 10, True), (0, 60, True), (57, 3, False)):
-        localised = np.array([True] * known + [False] * unknown)
-        assert (fault_of(replace(run, localised=localised), LogRunConfig()) is not None) == fails
-    assert fault_of(replace(run, localised=np.arange(60) >= 30), LogRunConfig()) is None  # not to its end
-
-
-def test_few_scans_but_for_those_left_out_on_request(run: LogRun) -> None:
-    few = replace(run, log=replace(run.log, found=601))
-    assert "60 of 601" in str(fault_of(few, LogRunConfig()))
-    assert fault_of(replace(run, log=replace(run.log, found=600)), LogRunConfig()) is None
+def test_diverged_lost_to_its_end_few_scans_and_no_corners_are_no_success(tmp_path: Path) -> None:
+    run, given = run_log(log_of(tmp_path, scans=60)), LogRunConfig()
     resting = replace(run, log=replace(run.log, found=1000), counts={"scans at rest, skipped": 940})
-    assert "--odometry none" in str(fault_of(resting, LogRunConfig()))
-    assert fault_of(resting, LogRunConfig(rest_m=0.5)) is None
-
-
-def test_a_run_without_corners_is_no_success(tmp_path: Path) -> None:
+    for sound in (
+        run,
+        replace(run, localised=np.arange(60) < 57),
+        replace(run, localised=np.arange(60) >= 30),  # not to its end
+        replace(run, log=replace(run.log, found=600)),
+    ):
+        assert fault_of(sound, given) is None
+    assert fault_of(resting, LogRunConfig(rest_m=0.5)) is None  # left out on request
     wall = np.where(abs(BEARINGS) < 1.2, 1.0 / np.cos(BEARINGS), np.nan)
-    run = run_log(log_of(tmp_path, ranges=np.tile(wall, (12, 1))))
-    assert "no landmark" in str(fault_of(run, LogRunConfig()))
+    for faulty, said in (
+        (replace(run, ended="diverged"), "--noise.scale"),
+        (replace(run, localised=np.arange(60) < 50), "lost"),
+        (replace(run, localised=np.zeros(60, np.bool_)), "lost"),
+        (replace(run, log=replace(run.log, found=601)), "60 of 601"),
+        (resting, "--odometry none"),
+        (run_log(log_of(tmp_path, ranges=np.tile(wall, (12, 1)))), "no landmark"),
+    ):
+        assert said in str(fault_of(faulty, given))

@@ -1,10 +1,11 @@
 """Goals on known ground: which places are offered, and what the virtual filter along a path predicts."""
 
-import itertools
 import math
 
 import numpy as np
 import pytest
+import shapely
+from scipy.spatial.distance import cdist, pdist
 
 from mecp_env.planning.config import KnownGroundConfig, PathsConfig, PlanningConfig, PredictionConfig
 from mecp_env.planning.goal_list import PLACE, WAIT, Goal, GoalKind, Goals, Outcome, PlaceKind
@@ -18,8 +19,8 @@ from mecp_env.planning.known_ground import (
     offered_goals,
     predict,
 )
-from mecp_env.planning.navigator import cost_to_go_field
-from mecp_env.slam.messages import Cell
+from mecp_env.planning.navigator import CostToGoField, cost_to_go_field
+from mecp_env.slam.messages import Belief, Cell
 from mecp_env.slam.output import SlamOutput
 from tests.slam import make
 
@@ -35,92 +36,72 @@ def hall(x: float = 10.0, sigma_m: float = 0.1) -> SlamOutput:
     return make.output(grid=make.grid(label), belief=belief, graph=make.graph())
 
 
-def path(*corners: tuple[float, float]) -> np.ndarray:
+def travelled(*corners: tuple[float, float]) -> np.ndarray:
     """The points of a path, 0.1 m apart."""
-    parts = []
-    for (ax, ay), (bx, by) in itertools.pairwise(corners):
-        n = max(1, round(10 * math.hypot(bx - ax, by - ay)))
-        parts.append(np.linspace((ax, ay), (bx, by), n, endpoint=False))
-    return np.concatenate([*parts, [corners[-1]]])
+    return shapely.get_coordinates(shapely.segmentize(shapely.LineString(corners), 0.1))
 
 
-THERE = path((2.0, 2.0), (2.0, 8.0), (10.0, 8.0), (10.0, 5.0))
+THERE = travelled((2.0, 2.0), (2.0, 8.0), (10.0, 8.0), (10.0, 5.0))
 
 
-def offered(travelled: np.ndarray = THERE, history=None, goals: Goals | None = None, output=None, **changes):
+def offered(path: np.ndarray = THERE, history=None, goals: Goals | None = None, output=None, **changes) -> Goals:
     config = CONFIG.model_copy(update={"known_ground": CONFIG.known_ground.model_copy(update=changes)})
-    around = Surroundings(output or hall(), history or GoalHistory(), travelled)
+    around = Surroundings(output or hall(), history or GoalHistory(), path)
     return offered_goals(goals or Goals(), around, config, ROWS)
 
 
-def kinds(goals: Goals) -> list[int]:
-    return goals.kind.tolist()
+def places(goals: Goals, why: int | None = None) -> np.ndarray:
+    """(n,2) m, of all kinds or of those that are offered for a reason."""
+    return goals.p_map[(goals.kind == PLACE) & ((goals.level == why) | (why is None))]
 
 
 def test_without_places_the_goals_stay_as_they_are_and_waiting_costs_no_way() -> None:
     goals = Goals.of([Goal(GoalKind.FRONTIER, 1.0, 1.0, 1.0, 0)])
     assert offered(goals=goals, places=0, wait_steps=0) is None
     waiting = offered(places=0)
-    assert (kinds(waiting), waiting.path_m.tolist(), waiting.p_map.tolist()) == ([WAIT], [0.0], [[10.0, 5.0]])
+    assert (waiting.kind.tolist(), waiting.path_m.tolist(), waiting.p_map.tolist()) == ([WAIT], [0.0], [[10.0, 5.0]])
 
 
-def test_exploration_comes_first_then_places_then_waiting() -> None:
+def test_exploration_comes_first_then_places_that_are_apart_then_waiting() -> None:
     exploration = [Goal(GoalKind.FRONTIER, 3.0 + 0.3 * k, 3.0, 1.0, 0, visits=k, path_m=float(k)) for k in range(40)]
     rows = offered(goals=Goals.of(exploration))
-    places = kinds(rows).count(PLACE)
-    assert kinds(rows) == [GoalKind.FRONTIER] * (ROWS - places - 1) + [PLACE] * places + [WAIT]
-    assert 0 < places <= 8
-    kept = ROWS - places - 1
-    assert rows.visits[:kept].tolist() == list(range(kept))
-    assert rows.path_m[:kept].tolist() == [float(k) for k in range(kept)]
-
-
-def test_places_are_apart_within_reach_and_not_where_the_robot_is() -> None:
-    rows = offered()
-    places = rows.p_map[rows.kind == PLACE]
-    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 10.0 * np.eye(len(places))
-    assert len(places) >= 2
-    assert apart.min() >= 2.0
-    assert np.hypot(*(places - (10.0, 5.0)).T).min() >= 1.0
-    assert (rows.path_m[rows.kind == PLACE] >= 1.0).all()
+    there = places(rows)
+    kept = ROWS - len(there) - 1
+    assert rows.kind.tolist() == [GoalKind.FRONTIER] * kept + [PLACE] * len(there) + [WAIT]
+    assert rows.visits[:kept].tolist() == rows.path_m[:kept].tolist() == list(range(kept))
+    assert 2 <= len(there) <= 8
+    assert pdist(there).min() >= 2.0
+    assert min(cdist(there, [[10.0, 5.0]]).min(), rows.path_m[kept:-1].min()) >= 1.0  # not where the robot is
 
 
 def test_well_known_landmarks_make_a_place() -> None:
-    rows = offered(loop_m=1000.0)
-    place = rows.p_map[(rows.kind == PLACE) & (rows.level == PlaceKind.LANDMARKS)][0]
-    assert math.dist(place, (1.0, 1.5)) < 4.0
+    assert math.dist(places(offered(loop_m=1000.0), PlaceKind.LANDMARKS)[0], (1.0, 1.5)) < 4.0
     worth = landmark_information(np.array([[1.0, 1.0], [9.0, 9.0]]), hall().belief)
     assert worth.tolist() == pytest.approx([2e4, 0.0])
 
 
 def test_a_place_left_long_ago_and_near_closes_a_loop() -> None:
-    around = path((10.0, 6.5), (2.0, 6.5), (2.0, 2.0), (10.0, 2.0), (10.0, 5.0))
-    rows = offered(around)
-    loops = rows.p_map[(rows.kind == PLACE) & (rows.level == PlaceKind.LOOP)]
-    assert math.dist(loops[0], (10.0, 6.5)) < 1.5
-    assert offered(around, loop_m=100.0).level[kinds(rows).index(PLACE)] != PlaceKind.LOOP
+    around = travelled((10.0, 6.5), (2.0, 6.5), (2.0, 2.0), (10.0, 2.0), (10.0, 5.0))
+    assert math.dist(places(offered(around), PlaceKind.LOOP)[0], (10.0, 6.5)) < 1.5
+    assert not len(places(offered(around, loop_m=100.0), PlaceKind.LOOP))
 
 
 def test_the_last_good_place_is_remembered() -> None:
     history = GoalHistory()
-    sure, unsure = hall(3.0, 0.01), hall(10.0, 0.3)
-    history.remember_good_place(sure.belief, 0.05)
-    history.remember_good_place(unsure.belief, 0.05)
+    for output in (hall(3.0, 0.01), hall(10.0, 0.3)):  # sure, then unsure
+        history.remember_good_place(output.belief, 0.05)
     assert history.good_place.tolist() == [3.0, 5.0]
     rows = offered(history=history)
-    assert rows.level[kinds(rows).index(PLACE)] == PlaceKind.GOOD
+    assert rows.level[rows.kind == PLACE][0] == PlaceKind.GOOD
 
 
 def test_a_place_that_was_refused_is_not_offered_again_but_one_that_was_visited_is() -> None:
     rows, history = offered(), GoalHistory()
-    row = kinds(rows).index(PLACE)
-    for _ in range(10):
-        history.record(rows, row, Outcome.REACHED, CONFIG.goals)
-    assert np.isclose(offered(history=history).p_map[row], rows.p_map[row]).all()
-    for _ in range(CONFIG.goals.refusals):
-        history.record(rows, row, Outcome.REFUSED, CONFIG.goals)
-    again = offered(history=history)
-    assert not any(math.dist(p, rows.p_map[row]) < 0.1 for p in again.p_map[again.kind == PLACE])
+    place = places(rows)[:1]
+    for ended, times, offered_again in ((Outcome.REACHED, 10, True), (Outcome.REFUSED, CONFIG.goals.refusals, False)):
+        for _ in range(times):
+            history.record(rows, rows.kind.tolist().index(PLACE), ended, CONFIG.goals)
+        assert (cdist(places(offered(history=history)), place).min() < 0.1) == offered_again
 
 
 PREDICTION = PredictionConfig(distance_sigma_m=0.05, turn_sigma_deg=2.0, turn_m=0.5, max_range_m=3.0)
@@ -157,21 +138,19 @@ def test_a_landmark_corrects_as_the_textbook_update_does() -> None:
     assert gain == pytest.approx(0.5 * math.log(np.linalg.det(cov) / np.linalg.det(after)))
 
 
-def corridor(landmarks: list[tuple[float, float]], sigma_m: float = 0.01, length: int = 160) -> tuple:
-    """Paths and belief in a corridor of 2 m by 16 m, its middle along y = 0, with the robot at x = 1 m."""
-    label = np.full((24, length), int(Cell.FREE), np.uint8)
-    label[:2] = label[-2:] = int(Cell.OCCUPIED)
-    label[:, :2] = label[:, -2:] = int(Cell.OCCUPIED)
+def corridor(belief: Belief) -> CostToGoField:
+    """Paths in a corridor of 2 m by 16 m, its middle along y = 0."""
+    label = np.pad(np.full((20, 156), Cell.FREE, np.uint8), 2, constant_values=Cell.OCCUPIED)
     grid = make.grid(label, origin=(0.0, -1.2), resolution_m=CELL_M)
-    belief = make.belief((1.0, 0.0, 0.0), landmarks, covs=sigma_m**2)
-    return cost_to_go_field(grid, belief.T_map_robot, PathsConfig()), belief
+    return cost_to_go_field(grid, belief.T_map_robot, PathsConfig())
 
 
-def predicted(x: float, landmarks: list[tuple[float, float]], **changes: float) -> Goal:
-    """The goal `x` m along the corridor."""
-    costs, belief = corridor(landmarks)
+def predicted(x: float, landmarks: list[tuple[float, float]], sigma_m: float = 0.01, **changes: float) -> Goal:
+    """The goal `x` m along the corridor, of a robot at 1 m whose place is known as well as the landmarks."""
+    pose_cov = np.diag([sigma_m**2, sigma_m**2, 1e-6])
+    belief = make.belief((1.0, 0.0, 0.0), landmarks, pose_cov=pose_cov, covs=sigma_m**2)
     goal = Goal(GoalKind.FRONTIER, x, 0.0, 1.0, 0)
-    predict([goal], [REACH_M], costs, belief, PREDICTION.model_copy(update=changes))
+    predict([goal], [REACH_M], corridor(belief), belief, PREDICTION.model_copy(update=changes))
     return goal
 
 
@@ -196,15 +175,11 @@ def test_landmarks_on_the_way_keep_the_pose_and_gain_information() -> None:
 
 
 def test_landmarks_mapped_from_this_pose_hardly_correct_it() -> None:
-    costs, belief = corridor([(3.0, 1.0), (3.0, -1.0)], sigma_m=0.2)
-    belief.pose_cov[:2, :2] = np.eye(2) * 0.2**2
-    goal = Goal(GoalKind.WAIT, 1.0, 0.0, 0.0, 0)
-    predict([goal], [REACH_M], costs, belief, PREDICTION)
-    assert 0.15 < goal.sigma_m <= 0.2
+    assert 0.15 < predicted(1.0, [(3.0, 1.0), (3.0, -1.0)], sigma_m=0.2).sigma_m <= 0.2
 
 
 def test_a_wall_hides_a_landmark() -> None:
-    costs, _ = corridor([])
+    costs = corridor(make.belief((1.0, 0.0, 0.0)))
     view, clear = (np.array([12, 30]), 0.0, CELL_M), (costs.clearance, costs.cost)
     assert in_sight(view, np.array([50.0, 12.0]), clear, PREDICTION.numbers)
     blocked = costs.cost.copy()

@@ -14,7 +14,6 @@ from PIL import Image
 
 from benchmarks.common import estimate
 from benchmarks.plots import MOST_ACROSS, Panel, line_panels
-from mecp_env.core.carriers import Array
 from mecp_env.floorplans.plan_view import floor_plan
 from mecp_env.render import palette
 from mecp_env.render.brush import Brush
@@ -45,16 +44,11 @@ def legend_of(figure: Figure) -> list[str]:
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
+@pytest.fixture(scope="module")
 def stages() -> dict[str, Figure]:
     triangle = make.polygon([0, 1, 2], [[0, 0.0, 0.5, EdgeLabel.WALL], [1, 0.0, 1.0, EdgeLabel.OPEN]])
     output = replace(scene.output(), polygons=(triangle, triangle), corners=scene.corners())
     return stage_figures(output, make.clusters([0, 300], [299, 719]))
-
-
-def pixels(figure: Figure) -> Array:
-    canvas = FigureCanvasAgg(figure)
-    canvas.draw()
-    return np.asarray(canvas.buffer_rgba(), np.float64)[:, :, :3]
 
 
 @pytest.mark.parametrize("count", [1, 6])
@@ -79,14 +73,13 @@ def test_names_of_rooms_have_contrast() -> None:
 def test_the_legend_of_plans_has_what_they_have() -> None:
     bare, furnished = floor_plan(load_layout("two_rooms")), floor_plan(load_layout("furnished"))
     assert legend_of(plans_figure([furnished])) == ["door", "obstacle", "first start", "other start"]
-    assert "obstacle" not in legend_of(plans_figure([replace(bare, obstacles=())]))
     assert legend_of(plans_figure([replace(bare, obstacles=(), doors=(), starts=bare.starts[:1])])) == ["first start"]
 
 
-def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as_well_as_in_hue() -> None:
+def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as_well_as_in_hue(stages) -> None:
     panel = Panel(["a", "b"], {str(k): [estimate([1.0, 2.0])] * 2 for k in range(6)})
     panels = line_panels({str(k): panel for k in range(2 * MOST_ACROSS - 1)}, "error, m")
-    for name, figure in {**stages(), "panels": panels}.items():
+    for name, figure in {**stages, "panels": panels}.items():
         figure.draw_without_rendering()
         assert smallest_px(figure) >= LEAST_PX, name
     lines = [line for line in panels.axes[0].get_lines() if line.get_marker() not in ("_", "|")]
@@ -96,30 +89,32 @@ def test_letters_of_other_figures_are_large_enough_and_series_differ_in_shape_as
         assert len(set(marks)) == len(marks)
 
 
-def test_axes_have_units_and_curves_are_those_that_a_run_has() -> None:
-    moments = [
-        {"pose_error_m": 0.01, "sigma3_m": 0.03, "nees": 3.0, "coverage": 0.1 * k, "landmarks": k} for k in range(9)
-    ]
-    curves = curves_figure("a run", 0.4, moments)
+def test_axes_have_units_and_curves_are_those_that_a_run_has(stages: dict[str, Figure]) -> None:
+    moment = {"pose_error_m": 0.01, "sigma3_m": 0.03, "nees": 3.0, "coverage": 0.1}
+    curves = curves_figure("a run", 0.4, [moment | {"landmarks": k} for k in range(9)])
     for axes in curves.axes:
         assert re.search(r", (cm|%|count|no unit)$", axes.get_ylabel()), axes.get_ylabel()
         assert axes.get_xlabel() == "time, s"
     assert {int(tick) for tick in curves.axes[3].get_yticks()} == set(curves.axes[3].get_yticks())
-    for figure in stages().values():
+    assert list(stages) == ["scan", "clusters", "segments", "corners", "polygon", "association"]
+    for figure in stages.values():
+        assert figure.axes[0].lines
         assert (figure.axes[0].get_xlabel(), figure.axes[0].get_ylabel()) == ("x, m", "y, m")
         assert legend_of(figure) == drawn(figure.axes[0])["labels"]
-    assert {"wall", "open", "polygon"} <= set(legend_of(stages()["polygon"]))
-    assert "gap" not in legend_of(stages()["polygon"])
+    assert {"wall", "open", "polygon"} <= set(legend_of(stages["polygon"]))
+    assert "gap" not in legend_of(stages["polygon"])
     log = curves_figure("a log without truth", 0.4, [{"sigma3_m": 0.03, "landmarks": k} for k in range(9)])
     legends = [axes.get_legend() for axes in log.axes]
     named = [[text.get_text() for text in legend.get_texts()] if legend else [] for legend in legends]
     assert named == [["3 sigma"], [], [], ["landmarks"]]
 
 
-def test_polygons_of_a_scan_that_overlap_are_no_darker() -> None:
+def test_polygons_of_a_scan_that_overlap_are_no_darker(stages: dict[str, Figure]) -> None:
     """The scene has one polygon twice."""
+    canvas = FigureCanvasAgg(stages["polygon"])
+    canvas.draw()
     light = 255.0 * np.array(to_rgb(palette.unit(palette.mix(palette.ROOMS[0], palette.FREE, 0.85))))
-    shown = np.abs(pixels(stages()["polygon"]) - light).max(axis=2) < 1.5
+    shown = np.abs(np.asarray(canvas.buffer_rgba(), float)[:, :, :3] - light).max(axis=2) < 1.5
     assert shown.mean() > 0.01
 
 

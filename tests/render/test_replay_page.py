@@ -116,25 +116,13 @@ def test_polygons_of_a_room_that_overlap_are_no_darker(page: Path, tmp_path: Pat
 @needs_browser
 def test_a_slanted_wall_is_a_line_without_teeth(page: Path, tmp_path: Path) -> None:
     run = read_page(page)
-    columns = np.arange(5, 95)
-    rows = np.round(20 + 0.3 * columns).astype(int)
-    cells = [number for x, y in zip(columns, rows, strict=True) for number in (100 * int(y) + int(x), 1, 1)]
-    empty = {"corners": [], "polygons": [], "goals": [], "landmarks": [], "ranges": [], "matched": [], "target": -1}
-    frames = [
-        frame | empty | {"cells": [], "map": 0, "pose": [300, 200, 0], "truth": None} for frame in run["frames"][:2]
-    ]
-    frames[0]["cells"] = cells
-    plan = {"origin": [0, 0], "size": [100, 70], "cell": 0.1}
-    bare = {"polygons": [], "doors": [], "gaps": [], "rooms": []}
-    run |= {
-        "frames": frames,
-        "grid": plan,
-        "maps": [bare],
-        "walls": [],
-        "solid": [],
-        "map_in_world": [0, 0, 0],
-        "opens_at": 0,
-    }
+    cells = [number for x in range(5, 95) for number in (100 * round(20 + 0.3 * x) + x, 1, 1)]
+    empty = {key: [] for key in ("corners", "polygons", "goals", "landmarks", "ranges", "matched", "cells")}
+    empty |= {"target": -1, "map": 0, "pose": [300, 200, 0], "truth": None}
+    first, second = (frame | empty for frame in run["frames"][:2])
+    run |= {"frames": [first | {"cells": cells}, second], "grid": {"origin": [0, 0], "size": [100, 70], "cell": 0.1}}
+    run |= {"maps": [{key: [] for key in ("polygons", "doors", "gaps", "rooms")}], "map_in_world": [0, 0, 0]}
+    run |= {"walls": [], "solid": [], "opens_at": 0}
     picture = drawn(run, tmp_path / "wall.html")
     solid = np.abs(picture.astype(int) - parsed(themes()["light"]["solid"])[:3]).sum(axis=2) < 40
     across = np.flatnonzero(solid.any(axis=0))

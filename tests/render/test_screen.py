@@ -1,15 +1,17 @@
-"""Frames: shape, type, no display access, and the visible content."""
+"""Frames: shape, type, no display access, and the visible content. Films: of bounded length, evenly spaced."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pygame
 import pytest
+from PIL import Image
 
 from mecp_env.core.se2 import compose, to_robot
 from mecp_env.render import palette, shapes
 from mecp_env.render.brush import Box, Camera
-from mecp_env.render.screen import SMALL_HEADER, Screen, grid_picture, thumbnail
+from mecp_env.render.screen import LAST_FRAME_MS, SMALL_HEADER, Film, Screen, grid_picture, thumbnail
 from mecp_env.render.shapes import loops, signed_area
 from mecp_env.render.window import Window
 from mecp_env.slam.messages import Cell
@@ -26,9 +28,7 @@ def share(frame: np.ndarray, colour: palette.RGB) -> float:
 def test_a_frame_has_the_configured_size_and_shows_world_and_belief() -> None:
     screen = Screen(800, 400)
     frame = screen.frame(scene.view())
-    assert frame.shape == (400, 800, 3)
-    assert frame.dtype == np.uint8
-    assert frame.flags.c_contiguous
+    assert (frame.shape, frame.dtype, frame.flags.c_contiguous) == ((400, 800, 3), np.uint8, True)
     left, right = frame[:, :400], frame[:, 400:]
     assert share(left, palette.FREE) > 0.05
     assert share(left, palette.SOLID) > 0.01
@@ -85,8 +85,7 @@ def test_the_grid_lies_where_the_world_is_with_rows_upwards() -> None:
 
 def test_a_thumbnail_shows_the_belief_below_two_lines_of_text() -> None:
     picture = thumbnail(scene.view(), (320, 260), "nearest", "12 s    3 m    40% seen")
-    assert picture.shape == (260, 320, 3)
-    assert picture.dtype == np.uint8
+    assert (picture.shape, picture.dtype) == ((260, 320, 3), np.uint8)
     text, belief = picture[:SMALL_HEADER], picture[SMALL_HEADER:]
     assert share(text, palette.PAPER) > 0.7
     assert 0.005 < np.mean(text < 200) < 0.3
@@ -107,3 +106,33 @@ def test_the_fan_of_a_mounted_laser_with_half_a_view_starts_at_the_laser() -> No
     assert fan[:, 0].min() > -0.01
     around = replace(view.slam_output, T_robot_laser=T)
     assert len(shapes.beam_fan(around, view.T_world_robot)) == 720
+
+
+def moving(step: int) -> np.ndarray:
+    picture = np.full((40, 60, 3), 255, np.uint8)
+    picture[10:20, step % 50 : step % 50 + 10] = (200, 30, 40)
+    return picture
+
+
+@pytest.mark.parametrize("steps", [3, 41, 1000])
+def test_a_film_has_bounded_length_and_even_spacing(steps: int) -> None:
+    film, drawn = Film(most_frames=20, every=2), []
+    for step in range(steps):
+        film.offer(step, lambda step=step: drawn.append(step) or np.full((1, 1, 3), step % 256, np.uint8))
+    assert 1 < len(film) <= 20
+    assert set(np.diff([int(film[row][0, 0, 0]) for row in range(len(film))]) % 256) == {film.every % 256}
+    assert len(drawn) < 20 * 2 + 20 * np.log2(max(steps, 2))
+
+
+def test_the_gif_repeats_and_holds_its_last_frame(tmp_path: Path) -> None:
+    film = Film()
+    for step in range(60):
+        film.offer(step, lambda step=step: moving(step))
+    film.save(tmp_path / "run.gif", seconds=3.0)
+    with Image.open(tmp_path / "run.gif") as gif:
+        assert gif.n_frames == 30
+        assert gif.info["loop"] == 0
+        gif.seek(29)
+        assert gif.info["duration"] == LAST_FRAME_MS
+        shown = np.asarray(gif.convert("RGB")).astype(int)
+    assert np.abs(shown - moving(58)).max() < 12

@@ -18,9 +18,16 @@ def make_small(count: int = N, **keywords: Any) -> BatchEnv:
     return make_batch(LAYOUT, count, **({"context": "fork", "workers": 2} | SMALL | keywords))
 
 
+def started(count: int = N, **keywords: Any) -> BatchEnv:
+    """The same after a reset."""
+    venv = make_small(count, **keywords)
+    venv.reset(seed=1)
+    return venv
+
+
 def choose(space: gymnasium.Space[Any], observation: Any, rng: np.random.Generator) -> Any:
     """Actions (N,...) for a batch of observations: mostly forward, any choice, or any goal."""
-    count = len(observation["pose"])
+    count = len(observation["pose"] if isinstance(observation, dict) else observation)
     if isinstance(space, gymnasium.spaces.Box):
         return np.clip(rng.normal((0.6, 0.0), (0.4, 0.5), (count, 2)), -1, 1).astype(np.float32)
     if space.n == 5:

@@ -6,35 +6,30 @@ import gymnasium
 import numpy as np
 import pytest
 from gymnasium.envs.registration import EnvSpec
-from gymnasium.vector import AutoresetMode
 from gymnasium.wrappers import FlattenObservation, RecordEpisodeStatistics
 
-import mecp_env
 from mecp_env.core.errors import ConfigError
 from mecp_env.core.processes import start_method
 from mecp_env.vector import BatchEnv
 from mecp_env.vector import batch as batching
 from tests.env.helpers import IDS, NEEDED, SMALL, same
-from tests.vector.helpers import LAYOUT, N, make_small
+from tests.vector.helpers import LAYOUT, N, make_small, started
 
 STILL = np.zeros((N, 2), np.float32)
 
 
 @pytest.fixture(scope="module")
-def batch() -> Any:
-    venv = make_small()
-    yield venv
-    venv.close()
+def batch() -> BatchEnv:
+    return make_small()
 
 
 @pytest.mark.parametrize("name", IDS)
 def test_make_vec_takes_the_batch_for_every_id_and_its_spec_makes_it_again(name: str) -> None:
     venv = gymnasium.make_vec(name, 2, context="fork", laser=SMALL["laser"], **NEEDED.get(name, {}))
-    assert isinstance(venv, BatchEnv)
     observation, _ = venv.reset(seed=1)
     assert observation in venv.observation_space
     again = gymnasium.make_vec(EnvSpec.from_json(venv.spec.to_json()))
-    assert isinstance(again, BatchEnv)
+    assert type(venv) is type(again) is BatchEnv
     assert same(observation, again.reset(seed=1)[0])
 
 
@@ -45,8 +40,7 @@ def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
     assert all(same(first[key][0], second[key][1]) for key in first)
     assert batch.np_random_seed == (9, 4, 6)  # an unseeded environment continues its random stream
     assert same(batch.reset(seed=np.int64(4))[0], first)
-    assert [generator.integers(2**40) for generator in batch.np_random] != [0, 0, 0]
-    for wrong in ([1, 2], 1.5, True, np.bool_(True), -1, "123", [1.7, 2, 3], [True, 1, 2], [1, -2, 3], [1, 2, "3"]):
+    for wrong in ([1, 2], 1.5, True, np.bool_(True), -1, "123", [1.7, 2, 3], [True, 1, 2], [1, -2, 3]):
         with pytest.raises(ValueError, match=r"seed: .*one for each of 3"):
             batch.reset(seed=wrong)
 
@@ -54,28 +48,18 @@ def test_seeds_are_a_number_or_one_for_each(batch: BatchEnv) -> None:
 def test_a_mask_resets_some_and_shows_the_others_as_they_were(batch: BatchEnv) -> None:
     batch.reset(seed=1)
     before = batch.step(STILL + 0.5)[0]
-    options = {"reset_mask": np.array([False, True, False])}
+    options = {"reset_mask": np.array([False, True, False]), "start": [2.0, 2.0, 0.0]}
     after, infos = batch.reset(seed=[0, 1, 2], options=options)
-    assert list(options) == ["reset_mask"]  # the arguments of the caller are unchanged
+    assert list(options) == ["reset_mask", "start"]  # the arguments of the caller are unchanged
     assert all(same(before[key][[0, 2]], after[key][[0, 2]]) for key in before)
-    assert infos["_period"].tolist() == [False, True, False]
-    assert infos["_event"].tolist() == [False, True, False]
+    assert infos["_period"].tolist() == infos["_event"].tolist() == [False, True, False]
     assert batch.step(STILL)[4]["period"].tolist() == [2, 1, 2]
-    for mask in ([True, False, True], np.array([1, 0, 1])):
-        with pytest.raises(TypeError, match="reset_mask"):
+    for mask in ([True, False, True], np.array([1, 0, 1]), np.array([True, False]), np.zeros(N, np.bool_)):
+        with pytest.raises((TypeError, ValueError), match="reset_mask"):
             batch.reset(options={"reset_mask": mask})
-    for mask in (np.array([True, False]), np.zeros(N, np.bool_)):
-        with pytest.raises(ValueError, match="reset_mask"):
-            batch.reset(options={"reset_mask": mask})
-
-
-def test_other_options_go_to_each_environment(batch: BatchEnv) -> None:
-    _, infos = batch.reset(seed=1, options={"start": [2.0, 2.0, 0.0], "reset_mask": np.array([True, True, False])})
-    assert infos["_truth_pose"].tolist() == [True, True, False]
-    with pytest.raises(ConfigError, match="options") as caught:
+    with pytest.raises(ConfigError, match="options") as caught:  # others go to each environment
         batch.reset(options={"begin": "random"})
     assert "environment 0 of the batch" in caught.value.__notes__[0]
-    batch.reset(seed=1)
 
 
 def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> None:
@@ -92,12 +76,11 @@ def test_observations_are_copies_and_views_where_asked_for(batch: BatchEnv) -> N
 @pytest.mark.parametrize("workers", [2, None])
 def test_calls_attributes_and_frames(workers: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(batching, "cores", lambda: 1)  # without a number of workers, all are stepped here
-    venv = make_small(render_mode="rgb_array", workers=workers)
-    venv.reset(seed=1)
+    venv = started(render_mode="rgb_array", workers=workers)
     drawn = [generator.integers(2**40) for generator in venv.np_random]
     assert [generator.integers(2**40) for generator in venv.np_random] == drawn  # copies
     frames = venv.render()
-    assert [frame.shape == frames[0].shape and frame.dtype == np.uint8 for frame in frames] == [True] * N
+    assert all(frame.shape == frames[0].shape and frame.dtype == np.uint8 and frame.std() > 0 for frame in frames)
     assert [summary["periods"] for summary in venv.call("summary")] == [0] * N
     venv.set_attr("mark", [1, 2, 3])
     assert venv.get_attr("mark") == (1, 2, 3)
@@ -129,8 +112,7 @@ def set_state(env: gymnasium.Env[Any, Any], state: Any) -> None:
 
 def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    venv = make_small(render_mode="human")
-    venv.reset(seed=1)
+    venv = started(render_mode="human")
     assert venv.step(STILL)[4]["period"].tolist() == [1] * N
     assert (venv.render_mode, venv.render()) == ("human", (None,) * N)
     venv.close()
@@ -139,43 +121,16 @@ def test_a_batch_in_windows_returns_nothing_and_needs_a_display(monkeypatch: pyt
         make_small(render_mode="human")
 
 
-@pytest.mark.parametrize("mode", ["vector_entry_point", "sync"])
-def test_masks_in_the_infos_of_every_vector_class(mode: str) -> None:
-    keywords = {"actions": "goal", "observation": "flat", "max_steps": 30} | SMALL
-    venv: Any = gymnasium.make_vec(LAYOUT, 2, vectorization_mode=mode, **keywords)
-    observation, infos = venv.reset(seed=1)
-    valid = [k for k, name in enumerate(mecp_env.flat_names(actions="goal")) if name.endswith("_valid")]
-    ends = 0
-    for _ in range(8):
-        masks = infos["action_mask"]
-        assert (masks.dtype, masks.shape) == (np.int8, (2, 32))
-        assert infos["_action_mask"].all()
-        assert np.array_equal(masks, observation[:, valid])
-        assert np.array_equal(masks, venv.call("action_masks"))
-        assert mode == "sync" or np.array_equal(masks, venv.action_masks())
-        actions = np.array([int(venv.single_action_space.sample(mask=mask)) for mask in masks])
-        observation, _, terminated, truncated, infos = venv.step(actions)
-        ends += int((terminated | truncated).sum())
-    assert ends > 0  # the mask of a new episode is that of its first observation
-
-
 def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> None:
     venv = make_small(
         max_episode_steps=2, autoreset_mode="SameStep", wrappers=(RecordEpisodeStatistics, FlattenObservation)
     )
+    assert gymnasium.vector.VectorEnv in type(venv).__bases__  # skrl looks at the direct bases
     assert venv.reset(seed=1)[0] in venv.observation_space
     venv.step(STILL)
     infos = venv.step(STILL)[4]
     assert infos["final_info"]["episode"]["l"].tolist() == [2] * N
     assert infos["final_obs"][0].shape == venv.single_observation_space.shape
-
-
-@pytest.mark.parametrize("mode", AutoresetMode)
-def test_the_mode_and_the_base_class_are_found_where_other_libraries_look(mode: AutoresetMode) -> None:
-    """TorchRL reads `autoreset_mode`; skrl looks at the direct bases; Gymnasium's wrappers read the metadata."""
-    venv = make_small(1, workers=None, autoreset_mode=mode)
-    assert venv.autoreset_mode == venv.metadata["autoreset_mode"] == mode
-    assert gymnasium.vector.VectorEnv in type(venv).__bases__
 
 
 WRONG = {
@@ -196,12 +151,8 @@ def test_wrong_arguments_name_the_field_and_the_bound() -> None:
         gymnasium.make_vec(LAYOUT, 2, layuot="paper")
 
 
-@pytest.mark.parametrize(
-    ("platform", "threads", "expected"), [("linux", 1, "fork"), ("linux", 2, "forkserver"), ("darwin", 1, "forkserver")]
-)
-def test_processes_are_forked_only_where_no_other_thread_runs(
-    monkeypatch: pytest.MonkeyPatch, platform: str, threads: int, expected: str
-) -> None:
-    monkeypatch.setattr("sys.platform", platform)
-    monkeypatch.setattr("threading.active_count", lambda: threads)
-    assert (start_method(), start_method("spawn")) == (expected, "spawn")
+def test_processes_are_forked_only_where_no_other_thread_runs(monkeypatch: pytest.MonkeyPatch) -> None:
+    for platform, threads, method in (("linux", 1, "fork"), ("linux", 2, "forkserver"), ("darwin", 1, "forkserver")):
+        monkeypatch.setattr("sys.platform", platform)
+        monkeypatch.setattr("threading.active_count", lambda threads=threads: threads)
+        assert (start_method(), start_method("spawn")) == (method, "spawn")

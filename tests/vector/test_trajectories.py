@@ -1,15 +1,80 @@
-"""The same trajectories, bit for bit: single environments, batches of any number of workers, however started."""
+"""As Gymnasium's own class, bit for bit: of any environment, and of ours in any number of workers, however started."""
 
-from contextlib import closing
-from functools import cache
+from functools import partial
 from typing import Any
 
 import gymnasium
 import numpy as np
 import pytest
+from gymnasium import spaces
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
 
+from mecp_env.vector import BatchEnv
+from mecp_env.vector import batch as batching
 from tests.env.helpers import SMALL, same
 from tests.vector.helpers import LAYOUT, PEOPLE, ROOMS, N, choose
+
+STEPS = 12  # an episode ends, and the next one goes on
+
+
+def take(venv: Any, mode: AutoresetMode = AutoresetMode.NEXT_STEP) -> list[Any]:
+    """What a reset and some steps give; where the mode resets nothing, also resets of what is over."""
+    rng = np.random.default_rng(0)
+    rows = [venv.reset(seed=3)]
+    for _ in range(STEPS):
+        rows.append(venv.step(choose(venv.single_action_space, rows[-1][0], rng)))
+        over = rows[-1][2] | rows[-1][3]
+        if mode == AutoresetMode.DISABLED and over.any():
+            rows.append(venv.reset(options={"reset_mask": over}))
+    venv.close()
+    assert any(row[2].any() or row[3].any() for row in rows if len(row) == 5)
+    return rows
+
+
+class Counter(gymnasium.Env[Any, Any]):
+    """Counts to its end; its info has numbers, an array, a text, a list, and at times a key more."""
+
+    def __init__(self, alone: bool) -> None:
+        pose = spaces.Box(-9.0, 9.0, (3,), np.float32)
+        grid = spaces.Box(0, 255, (2, 4), np.uint8)
+        self.alone = alone
+        self.observation_space = pose if alone else spaces.Dict({"pose": pose, "grid": grid})
+        self.action_space = spaces.Discrete(5) if alone else spaces.Box(-1.0, 1.0, (2,), np.float32)
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> Any:
+        super().reset(seed=seed)
+        self.x, self.count, self.end = self.np_random.normal(size=3), 0, int(self.np_random.integers(2, 6))
+        return self.seen(), self.info()
+
+    def step(self, action: Any) -> Any:
+        self.count += 1
+        self.x = np.clip(self.x + 0.1 * np.sum(action), -9.0, 9.0)
+        return self.seen(), float(self.x.sum()), self.count == self.end, self.count == 5, self.info()
+
+    def seen(self) -> Any:
+        pose = self.x.astype(np.float32)
+        return pose if self.alone else {"pose": pose, "grid": np.full((2, 4), self.count, np.uint8)}
+
+    def info(self) -> dict[str, Any]:
+        numbers = {"count": self.count, "share": self.count / 7, "odd": bool(self.count % 2), "x": self.x.copy()}
+        more = {"more": self.count} if self.count % 3 == 2 else {}
+        return numbers | {"event": f"event {self.count}", "list": [1, 2]} | more
+
+
+@pytest.mark.parametrize(("workers", "cores"), [(2, 1), (None, 1), (None, 2)], ids=["workers", "here", "both"])
+@pytest.mark.parametrize("alone", [False, True])
+@pytest.mark.parametrize("mode", AutoresetMode)
+def test_any_environment(
+    mode: AutoresetMode, alone: bool, workers: int | None, cores: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Observations of any form, and every key of the infos."""
+    monkeypatch.setattr(batching, "load", lambda: None)  # nothing here is compiled
+    monkeypatch.setattr(batching, "cores", lambda: cores)
+    makers = [partial(Counter, alone)] * 4
+    batch = BatchEnv(makers, workers=workers, autoreset_mode=mode, context="fork")
+    assert batch.autoreset_mode == batch.metadata["autoreset_mode"] == mode  # for TorchRL, and for wrappers
+    assert same(take(batch, mode), take(SyncVectorEnv(makers, autoreset_mode=mode), mode))
+
 
 BUILDINGS: dict[str, Any] = {"difficulty": "easy", "laser": SMALL["laser"]}
 KINDS: dict[str, tuple[str, dict[str, Any]]] = {
@@ -19,69 +84,13 @@ KINDS: dict[str, tuple[str, dict[str, Any]]] = {
     "buildings": (ROOMS, BUILDINGS | PEOPLE | {"max_steps": 6}),
     "goals in buildings": (ROOMS, BUILDINGS | PEOPLE | {"actions": "goal", "max_steps": 30}),
 }
-STEPS = 10  # an episode ends, and the next one goes on
+PROCESSES = [*((kind, "fork", 2) for kind in KINDS), ("velocity", "fork", 1), ("velocity", "fork", 3)]
+SLOW_STARTS = [pytest.param("velocity", context, 2, marks=pytest.mark.slow) for context in ("forkserver", "spawn")]
 
 
-def take(venv: Any) -> list[Any]:
-    """All results of a vector environment on a drive."""
-    rng = np.random.default_rng(0)
-    rows = [venv.reset(seed=11)]
-    for _ in range(STEPS):
-        rows.append(venv.step(choose(venv.single_action_space, rows[-1][0], rng)))
-    return rows
-
-
-@cache
-def take_forked() -> list[Any]:
-    """The drive of `take` by a batch of two forked workers."""
-    name, keywords = KINDS["velocity"]
-    with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
-        return take(venv)
-
-
-def take_alone(kind: str) -> list[list[tuple[Any, ...]]]:
-    """The drive of `take` by single environments: for each row, what each gave."""
+@pytest.mark.parametrize(("kind", "context", "workers"), [*PROCESSES, *SLOW_STARTS])
+def test_ours_in_processes(kind: str, context: str, workers: int) -> None:
     name, keywords = KINDS[kind]
-    envs = [gymnasium.make(name, disable_env_checker=True, **keywords) for _ in range(N)]
-    rng = np.random.default_rng(0)
-    rows = [[env.reset(seed=11 + i) for i, env in enumerate(envs)]]
-    over = [False] * N
-    for _ in range(STEPS):
-        seen = {key: np.stack([row[0][key] for row in rows[-1]]) for key in ("pose", "goals")}
-        actions = choose(envs[0].action_space, seen, rng)
-        rows.append([advance(envs[i], actions[i], over[i]) for i in range(N)])
-        over = [row[2] or row[3] for row in rows[-1]]
-    return rows
-
-
-def advance(env: gymnasium.Env[Any, Any], action: Any, over: bool) -> tuple[Any, ...]:
-    if over:
-        observation, info = env.reset()
-        return observation, 0.0, False, False, info
-    return env.step(action)
-
-
-@pytest.mark.parametrize("kind", KINDS)
-def test_each_environment_goes_as_it_would_alone(kind: str) -> None:
-    name, keywords = KINDS[kind]
-    with closing(gymnasium.make_vec(name, N, workers=2, context="fork", **keywords)) as venv:
-        together, alone = take(venv), take_alone(kind)
-    assert len(together) == len(alone)
-    assert any(row[2].any() or row[3].any() for row in together[1:])  # episodes end on the way
-    for row, singles in zip(together, alone, strict=True):
-        for i, single in enumerate(singles):
-            assert all(same(row[0][key][i], single[0][key]) for key in single[0])
-            assert [part[i] for part in row[1:-1]] == list(single[1:-1])
-            assert all(np.array_equal(row[-1][key][i], value) for key, value in single[-1].items())
-            assert all(row[-1][f"_{key}"][i] for key in single[-1])
-
-
-SLOW_STARTS = [pytest.param(context, 2, marks=pytest.mark.slow) for context in ("forkserver", "spawn")]
-
-
-@pytest.mark.parametrize(("context", "workers"), [("fork", 1), ("fork", 3), *SLOW_STARTS])
-def test_neither_how_processes_are_started_nor_what_each_steps_changes_anything(context: str, workers: int) -> None:
-    name, keywords = KINDS["velocity"]
-    with closing(gymnasium.make_vec(name, N, workers=workers, context=context, **keywords)) as venv:
-        assert len(venv.pids) == workers
-        assert same(take(venv), take_forked())
+    batch = gymnasium.make_vec(name, N, workers=workers, context=context, **keywords)
+    assert len(batch.pids) == workers
+    assert same(take(batch), take(gymnasium.make_vec(name, N, vectorization_mode="sync", **keywords)))

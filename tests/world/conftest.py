@@ -1,8 +1,6 @@
 """Documents, layouts and outlines shared by the tests of the world."""
 
-import copy
 import json
-from pathlib import Path
 from typing import Any
 
 import pytest
@@ -11,7 +9,11 @@ from mecp_env.world.layout import LIBRARY, load_layout, shipped_layouts
 from mecp_env.world.outline import Outline, build_outline
 
 OUTLINES = {name: build_outline(load_layout(name)) for name in shipped_layouts()}
-DOCUMENTS = {name: json.loads(Path(LIBRARY / f"{name}.json").read_text()) for name in shipped_layouts()}
+
+
+def document_of(name: str) -> Any:
+    """The JSON of a shipped layout."""
+    return json.loads((LIBRARY / f"{name}.json").read_text())
 
 
 @pytest.fixture(params=shipped_layouts())
@@ -30,6 +32,5 @@ def two_rooms() -> Outline:
 
 
 @pytest.fixture
-def document() -> dict[str, Any]:
-    """A fresh copy of the document of `two_rooms`, for mutation."""
-    return copy.deepcopy(DOCUMENTS["two_rooms"])
+def document() -> Any:
+    return document_of("two_rooms")

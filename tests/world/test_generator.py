@@ -1,9 +1,11 @@
 """Generated buildings match their specification, for every seed."""
 
+import json
 import math
 from collections import Counter
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -29,9 +31,8 @@ def check(spec: GeneratorSpec, layout: Layout) -> None:
     outline = check_geometry(layout)
     names = Counter(room.name.split()[0] for room in layout.rooms)
     assert (names["corridor"], names.total()) == (spec.corridors, spec.rooms)
-    assert len(layout.doors) == spec.rooms - 1 + spec.loops
-    pairs = [frozenset(door.rooms) for door in layout.doors]
-    assert len(set(pairs)) == len(pairs)
+    pairs = {frozenset(door.rooms) for door in layout.doors}
+    assert len(layout.doors) == len(pairs) == spec.rooms - 1 + spec.loops
     doors_of = Counter(name for door in layout.doors for name in door.rooms if name.startswith("room"))
     assert max(doors_of.values()) <= spec.max_doors
     assert all(spec.door_width_m[0] <= door.width_m <= spec.door_width_m[1] for door in layout.doors)
@@ -76,7 +77,7 @@ def check_corners(outline: Outline) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("difficulty", "seeds"), [("easy", 150), ("medium", 150), ("hard", 80), ("huge", 8)])
+@pytest.mark.parametrize(("difficulty", "seeds"), [("easy", 80), ("medium", 80), ("hard", 40), ("huge", 4)])
 def test_what_is_declared_is_what_comes_out(difficulty: str, seeds: int) -> None:
     spec = GeneratorSpec.preset(difficulty)
     for seed in range(seeds):
@@ -113,14 +114,12 @@ def test_a_shape_that_is_asked_for_is_there(shape: str) -> None:
         assert len(notches) == (2 if shape == "T" else 1)
 
 
-def test_a_seed_is_a_building_which_survives_its_file(tmp_path) -> None:
+def test_a_seed_is_a_building_which_survives_its_file() -> None:
     assert generate(seed=5).to_json() == generate(GeneratorSpec(), 5).to_json() == generate({"rooms": 8}, 5).to_json()
     assert generate(seed=5).to_json() != generate(seed=6).to_json()
     assert generate({"rooms": 2}, 2**128 - 1).name == f"rooms-2-{2**128 - 1}"
     layout = generate(GeneratorSpec.preset("hard"), 3)
-    path = tmp_path / "hard.json"
-    path.write_text(layout.to_json())
-    assert load_layout(path) == layout
+    assert load_layout(json.loads(layout.to_json())) == layout
     assert GeneratorSpec(door_width_m=0.8) == GeneratorSpec(door_width_m=(0.8, 0.8))  # a value is a range
     assert GeneratorSpec(pieces="shelf", shapes="L") == GeneratorSpec(pieces=("shelf",), shapes=("L",))
     seeds = [set(SPLITS[split]) for split in ("train", "validation", "test")]
@@ -128,41 +127,31 @@ def test_a_seed_is_a_building_which_survives_its_file(tmp_path) -> None:
     assert split_seed("test", 0) == 2_000_000
 
 
-def test_more_furniture_than_finds_room_is_refused_with_what_did() -> None:
-    with pytest.raises(ConfigError, match=r"^furniture: 3 pieces on 10 m2, at most [12]\.\d\d found room"):
-        generate({"furniture": 3.0, "room_side_m": 3.5, "pieces": "box"})
-    with pytest.raises(ConfigError, match=r"^rooms, furniture: more than a layout may hold .* faces, at most 20000"):
-        generate({"rooms": 60, "furniture": 2.5, "room_side_m": 12.0, "pieces": "round_pillar"})
+WRONG: list[tuple[dict[str, Any], str]] = [
+    ({"rooms": 201}, "rooms"),
+    ({"shaped_rooms": 2, "rooms": 3}, "shaped_rooms"),
+    ({"corridors": 2, "rooms": 4}, "corridors"),
+    ({"turned_deg": (10.0, -10.0)}, "turned_deg"),
+    ({"furniture": float("nan")}, "furniture"),
+    ({"pieces": ()}, "pieces"),
+    ({"lops": 1}, r"lops.*did you mean"),
+    ({"door_width_m": (0.9,)}, "door_width_m: a number or a range of two"),
+    ({"door_width_m": (0.9, 1.9)}, r"door_width_m: up to 1\.9 m is too wide"),
+    ({"rooms": 3, "loops": 30}, "30 loops"),
+    ({"loops": 9}, r"loops: 9 loops, at most \d came about in 100 tries"),
+    ({"max_doors": 1}, "max_doors: 1, too few to join 8 rooms"),
+    ({"furniture": 3.0, "room_side_m": 3.5, "pieces": "box"}, r"furniture: 3 pieces on 10 m2, at most [12]\.\d\d"),
+    ({"rooms": 60, "furniture": 2.5, "room_side_m": 12.0, "pieces": "round_pillar"}, "faces, at most 20000"),
+]
 
 
-WRONG = [{"rooms": 201}, {"shaped_rooms": 2, "rooms": 3}, {"corridors": 2, "rooms": 4}, {"shapes": ("X",)}]
-WRONG += [{"turned_deg": (10.0, -10.0)}, {"door_width_m": (0.9, 1.9)}, {"furniture": float("nan")}, {"pieces": ()}]
-WRONG += [{"lamps": 3}]
-
-
-def test_a_wrong_field_is_named() -> None:
-    for fields in WRONG:
-        with pytest.raises(ConfigError, match=next(iter(fields))):
+def test_a_wrong_field_what_no_building_can_be_and_what_is_no_seed_are_named() -> None:
+    for fields, said in WRONG:
+        with pytest.raises(ConfigError, match=said):
             generate(fields)
-    with pytest.raises(ConfigError, match=r"lops.*did you mean"):
-        generate({"lops": 1})
-    with pytest.raises(ConfigError, match="door_width_m: a number or a range of two"):
-        generate({"door_width_m": (0.9,)})
-
-
-def test_what_is_no_seed_is_refused() -> None:
     for seed in (-1, "1", 1.0, True, 2**128):
         with pytest.raises(ConfigError, match=r"seed: a whole number from 0 .*\(given: "):
             generate({"rooms": 2}, seed)  # type: ignore[arg-type]
-
-
-def test_what_no_building_can_be_is_refused() -> None:
-    with pytest.raises(ConfigError, match="30 loops"):
-        generate({"rooms": 3, "loops": 30})
-    with pytest.raises(ConfigError, match=r"loops: 9 loops, at most \d came about in 100 tries"):
-        generate({"loops": 9})
-    with pytest.raises(ConfigError, match="max_doors: 1, too few to join 8 rooms"):
-        generate({"max_doors": 1})
     with pytest.raises(ConfigError, match="1000 buildings"):
         split_seed("test", 1000)
 

@@ -11,12 +11,10 @@ from numpy.typing import NDArray
 from mecp_env.evaluation.ground_truth import CELL_M, GroundTruth
 from mecp_env.world import pedestrians as crowd
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, RobotConfig
-from mecp_env.world.doors import close_doors, draw_closed
+from mecp_env.world.doors import draw_closed
 from mecp_env.world.drive import wall_distance
 from mecp_env.world.laser import Laser
-from mecp_env.world.layout import load_layout
 from mecp_env.world.moving_obstacles import Movers, Moving, moving_faces
-from mecp_env.world.outline import Outline
 from mecp_env.world.pedestrians import WalkwayPlanner, clear_leg
 from mecp_env.world.simulation import Simulation
 from tests.world.conftest import OUTLINES
@@ -39,12 +37,10 @@ def world(name: str, seed: int = 0, **fields: Any) -> tuple[Simulation, Movers]:
     return simulation, movers
 
 
-def with_box(outline: Outline, box: list[float], size: list[float], robot: list[float]) -> tuple[Simulation, Movers]:
-    """One box of a size, and the robot."""
-    state = Moving(boxes=np.array([[*box, 0.0, 0.0, 0.0]]), sizes=np.array([size]))
-    movers = Movers(None, CrowdConfig(), ROBOT, state)
-    simulation = Simulation(outline, ROBOT, movers)
-    simulation.reset(np.array(robot))
+def in_a_door(seed: int, **fields: Any) -> tuple[Simulation, Movers]:
+    """The robot in a door, where pedestrians who are not polite, and boxes, push it."""
+    simulation, movers = world("two_rooms", seed, polite=False, speed_m_s=(0.8, 1.2), **fields)
+    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))
     return simulation, movers
 
 
@@ -68,15 +64,22 @@ def random_drive(simulation: Simulation, steps: int, seed: int = 0) -> Any:
 
 
 @pytest.mark.parametrize(("name", "polite"), [("paper", True), ("furnished", False)])
-def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) -> None:
-    simulation, movers = world(name, polite=polite)
+def test_no_pedestrian_walks_through_walls_or_others_nor_if_polite_up_to_a_robot_that_drives(
+    name: str, polite: bool
+) -> None:
+    simulation, movers = world(name, people=10, polite=polite)
     walked, rooms = np.zeros(len(movers.state.pedestrians)), [set[int]() for _ in movers.state.pedestrians]
     for _ in random_drive(simulation, 500 if name == "paper" else 250):
         pedestrians = movers.state.pedestrians
         for walker in pedestrians:
             assert wall_distance(OUTLINES[name].segments, walker[0], walker[1]) > walker[crowd.RADIUS] - 1e-6
         assert shapely.contains_xy(OUTLINES[name].free_area, *pedestrians[:, :2].T).all()
-        assert gaps(movers, simulation.T_world_robot[:2])[1].min() > -1e-9
+        to_robot, to_others = gaps(movers, simulation.T_world_robot[:2])
+        assert to_others.min() > -1e-9
+        towards = simulation.T_world_robot[:2] - pedestrians[:, :2]
+        closing = (towards * pedestrians[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
+        near = closing & (pedestrians[:, crowd.MOVES] > 0.0) & (to_robot < crowd.POLITE_M - 0.03)
+        assert not (polite and near.any())
         walked += np.hypot(*(pedestrians[:, :2] - pedestrians[:, [crowd.FROM_X, crowd.FROM_Y]]).T)
         for seen, room in zip(rooms, OUTLINES[name].room_at(pedestrians[:, :2]).tolist(), strict=True):
             seen.add(room)
@@ -84,19 +87,8 @@ def test_no_pedestrian_walks_through_walls_or_others(name: str, polite: bool) ->
     assert name != "paper" or min(len(seen - {-1}) for seen in rooms) >= 2
 
 
-def test_polite_pedestrians_never_step_up_to_a_robot_that_drives() -> None:
-    simulation, movers = world("paper", 3, people=10)
-    for _ in random_drive(simulation, 400):
-        near, _ = gaps(movers, simulation.T_world_robot[:2])
-        steps = movers.state.pedestrians[:, crowd.MOVES] > 0.0
-        towards = simulation.T_world_robot[:2] - movers.state.pedestrians[:, :2]
-        closing = (towards * movers.state.pedestrians[:, [crowd.VX, crowd.VY]]).sum(axis=1) > 1e-6
-        assert not (steps & closing & (near < crowd.POLITE_M - 0.03)).any()
-
-
 def test_pedestrians_who_are_not_polite_bump_into_the_robot_but_not_through_it() -> None:
-    simulation, movers = world("two_rooms", 1, people=6, polite=False, speed_m_s=(0.8, 1.2))
-    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))  # blocking the pedestrians
+    simulation, movers = in_a_door(1)
     touched, deepest = 0, np.inf
     for _ in range(400):
         touched += simulation.step(0.0, 0.0).contact
@@ -109,48 +101,39 @@ def test_pedestrians_who_are_not_polite_bump_into_the_robot_but_not_through_it()
 
 def test_a_pushed_box_moves_and_stops_and_stays_out_of_walls() -> None:
     outline = OUTLINES["two_rooms"]
-    simulation, movers = with_box(outline, [2.5, 3.5, 0.3], [0.4, 0.5], [1.0, 3.5, 0.0])
-    for _ in range(5):
-        simulation.step(0.75, 0.0)
-    floor = outline.free_area.buffer(0.03)
-    for step in range(40):
+    state = Moving(boxes=np.array([[2.5, 3.5, 0.3, 0.0, 0.0, 0.0]]), sizes=np.array([[0.4, 0.5]]))
+    movers = Movers(None, CrowdConfig(), ROBOT, state)
+    simulation, floor = Simulation(outline, ROBOT, movers), outline.free_area.buffer(0.03)
+    simulation.reset(np.array([1.0, 3.5, 0.0]))
+    for step in range(45):
         simulation.step(0.75, 0.0)
         assert shapely.contains_xy(floor, *movers.box_corners.T).all(), step
     assert movers.state.boxes[0, 0] > 3.5
     for _ in range(10):
         simulation.step(-0.2, 0.0)
-    resting = movers.state.boxes.copy()
-    assert not resting[0, 3:].any()
-    simulation.step(0.0, 0.0)
-    assert movers.state.boxes.tobytes() == resting.tobytes()
+    assert not movers.state.boxes[0, 3:].any()
 
 
 def test_the_laser_sees_pedestrians_and_boxes() -> None:
-    outline = OUTLINES["paper"]
+    outline, pose = OUTLINES["paper"], np.array([2.0, 2.0, 0.0])
     faces = moving_faces(np.array([[3.0, 2.0, 0.25]]), np.array([[2.0, 3.0, 0.0]]), np.array([[0.4, 0.2]]))
-    assert faces.shape == (20, 2, 2)
-    pose = np.array([2.0, 2.0, 0.0])
     laser = Laser(outline, LaserConfig(preset="ideal", sweeps=1))
     scan = laser.scan(pose, np.random.default_rng(0), faces)
-    ahead, left = np.argmin(np.abs(scan.bearings[0])), np.argmin(np.abs(scan.bearings[0] - np.pi / 2.0))
-    assert scan.ranges[0, ahead] == pytest.approx(0.75, abs=0.01)
-    assert scan.ranges[0, left] == pytest.approx(0.9, abs=0.01)
+    seen = np.interp([0.0, np.pi / 2.0], scan.bearings[0], scan.ranges[0])  # ahead and on the left
+    assert seen == pytest.approx([0.75, 0.9], abs=0.01)
     exact = cast_rays(np.concatenate([outline.segments, faces]), pose)
     assert scan.ranges[0] == pytest.approx(np.minimum(exact, 30.0))
 
 
 def test_doors_are_drawn_by_their_probability_and_not_beside_the_start() -> None:
-    outline, rng = OUTLINES["paper"], np.random.default_rng(0)
-    doors, state = outline.doors, rng.bit_generator.state
-    half, every = ({"closed_doors": share, "reachable_share": 0.0} for share in (0.5, 1.0))
-    layout = load_layout("paper")
-    assert close_doors(layout, np.empty(0, np.int64), np.array(layout.starts[0].point)) is layout
-    assert not len(draw_closed(outline, np.zeros(3), ClutterConfig(), rng))
+    outline, rng, start = OUTLINES["paper"], np.random.default_rng(0), np.array([1.0, 1.0, 0.0])
+    half, every = (ClutterConfig(closed_doors=share, reachable_share=0.0) for share in (0.5, 1.0))
+    state = rng.bit_generator.state
+    assert not len(draw_closed(outline, start, ClutterConfig(), rng))
     assert rng.bit_generator.state == state
-    start = np.array([1.0, 1.0, 0.0])
-    counts = [len(draw_closed(outline, start, ClutterConfig(**half), rng)) for _ in range(200)]
-    assert np.mean(counts) == pytest.approx(0.5 * len(doors), rel=0.15)
-    assert 2 not in draw_closed(outline, np.array([*doors.centre[2], 0.0]), ClutterConfig(**every), rng)
+    counts = [len(draw_closed(outline, start, half, rng)) for _ in range(200)]
+    assert np.mean(counts) == pytest.approx(0.5 * len(outline.doors), rel=0.15)
+    assert 2 not in draw_closed(outline, np.array([*outline.doors.centre[2], 0.0]), every, rng)
 
 
 def test_a_leg_is_clear_when_no_face_comes_near() -> None:
@@ -165,21 +148,11 @@ def test_a_leg_is_clear_when_no_face_comes_near() -> None:
             assert clear_leg(outline.segments, *a, *b, 0.25) == (far > 0.25)
 
 
-CROWDED = {"people": 8, "polite": False, "speed_m_s": (0.8, 1.2)}
-
-
-def crowded(boxes: int, seed: int) -> tuple[Simulation, Movers]:
-    """The robot in a door, where pedestrians and boxes push it."""
-    simulation, movers = world("two_rooms", seed, movable_boxes=boxes, **CROWDED)
-    simulation.reset(np.array([*OUTLINES["two_rooms"].doors.centre[0], 0.0]))
-    return simulation, movers
-
-
 @pytest.mark.parametrize("boxes", [0, 12])
 def test_states_in_contact_with_several_bodies_continue_bit_for_bit(boxes: int) -> None:
     """In pymunk the order of contacts depended on the past of the space: each control step has its own space now."""
     rng, touched = np.random.default_rng(0), 0
-    simulation, movers = crowded(boxes, 0)
+    simulation, movers = in_a_door(0, people=8, movable_boxes=boxes)
     for _ in range(10):
         touched += sum(simulation.step(*rng.uniform([-0.3, -0.8], [0.75, 0.8])).contact for _ in range(3))
         twin, other = copy.deepcopy((simulation, movers))

@@ -1,7 +1,7 @@
 """The odometry: noise as large as its covariance, in each reading; positive at rest."""
 
 import math
-from dataclasses import dataclass
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -22,19 +22,14 @@ MIXED = moved((0.05, 0.1), (0.1, -0.2), (-0.02, 0.0), (0.0, 0.0), contact=True)
 REST = moved((0.0, 0.0), steps=4)
 
 
-@dataclass
-class Fixed:
-    """Draws this noise, in sigmas."""
-
-    noise: Any = 1.0
-
-    def standard_normal(self, shape: tuple[int, int]) -> Array:
-        return np.broadcast_to(self.noise, shape).copy()
+def fixed(noise: Any = 1.0) -> Any:
+    """A generator that draws this noise, in sigmas."""
+    return SimpleNamespace(standard_normal=lambda shape: np.broadcast_to(noise, shape).copy())
 
 
 def sigmas(motion: Motion, config: OdometryConfig) -> Array:
     """Sigmas (M,2) of distance and turn of each increment by the configured reading."""
-    return measure(motion, config, Fixed()).increments - motion.increments  # type: ignore[arg-type]
+    return measure(motion, config, fixed()).increments - motion.increments
 
 
 METRE = moved((0.25, 0.0), steps=4)
@@ -77,8 +72,7 @@ def test_the_covariance_knows_the_reading_alone() -> None:
     """The truth must not reach the filter: equal readings carry equal covariances, whatever the true motion was."""
     config = OdometryConfig()
     one, two = (
-        measure(m, config, Fixed((STRAIGHT.increments - m.increments) / sigmas(m, config)))  # type: ignore[arg-type]
-        for m in (STRAIGHT, CURVE)
+        measure(m, config, fixed((STRAIGHT.increments - m.increments) / sigmas(m, config))) for m in (STRAIGHT, CURVE)
     )
     assert one.increments == pytest.approx(two.increments)
     assert one.cov == pytest.approx(two.cov)
