@@ -47,8 +47,7 @@ class Process:
         os.kill(self.pid, number)
 
     def kill(self) -> None:
-        if self.poll() is None:
-            self.send_signal(signal.SIGKILL)
+        self.send_signal(signal.SIGKILL)
 
     def communicate(self, timeout: float = GIVE_UP_S) -> tuple[str, None]:
         """The rest of what it wrote, at its end."""

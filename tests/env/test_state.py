@@ -51,7 +51,6 @@ DAMAGES = [
     (lambda s: s | {"random": {}}, "random|damaged"),
     (lambda s: with_field(s, "metrics", ...), "metrics"),
     (lambda s: with_field(s, "metrics", None), r"episode\.metrics: expected EpisodeMetrics"),
-    (lambda s: with_field(s, "goals_step", True), r"episode\.goals_step: expected int"),
     (lambda s: with_field(s, "goals_key", {"@tuple": [1, "x"]}), r"episode\.goals_key"),
     (lambda s: with_field(s, "extra", 3), "extra"),
     (lambda s: s | {"simulation": {"@dict": [["body", 3.0]]}}, "simulation"),
