@@ -47,8 +47,7 @@ class Process:
         os.kill(self.pid, number)
 
     def kill(self) -> None:
-        if self.poll() is None:
-            self.send_signal(signal.SIGKILL)
+        self.send_signal(signal.SIGKILL)
 
     def communicate(self, timeout: float = GIVE_UP_S) -> tuple[str, None]:
         """The rest of what it wrote, at its end."""
@@ -83,43 +82,28 @@ class Launcher:
     def start(self, code: str, *words: str, cwd: Path, env: dict[str, str]) -> Process:
         """`python -c CODE WORDS` in a folder; its errors are among its output."""
         reading, writing = os.pipe()
-        return Process(self._begin(code, words, cwd, env, (writing, writing)), os.fdopen(reading))
-
-    def run(self, code: str, *, cwd: Path, env: dict[str, str]) -> subprocess.CompletedProcess[str]:
-        """The end of `python -c CODE` in a folder; it writes a few lines at most."""
-        (out, writing), (err, also) = os.pipe(), os.pipe()
-        with os.fdopen(out) as stdout, os.fdopen(err) as stderr:
-            begun = self._begin(code, (), cwd, env, (writing, also))
-            ended = Process(begun, stdout).wait(GIVE_UP_S)
-            return subprocess.CompletedProcess(code, ended, stdout.read(), stderr.read())
-
-    def _begin(
-        self, code: str, words: tuple[str, ...], cwd: Path, env: dict[str, str], files: tuple[int, int]
-    ) -> socket.socket:
         near, far = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         job = {"code": code, "words": words, "cwd": str(cwd), "env": env}
         with far:
-            socket.send_fds(self._control, [json.dumps(job).encode()], [far.fileno(), *files])
-        for file in set(files):
-            os.close(file)
-        return near
+            socket.send_fds(self._control, [json.dumps(job).encode()], [far.fileno(), writing])
+        os.close(writing)
+        return Process(near, os.fdopen(reading))
 
 
 def jobs(control: socket.socket) -> Iterator[dict[str, Any]]:
     """In the forks of this process: the job of each; here it waits for the next one, until nobody can ask any more."""
     while True:
-        message, files, _, _ = socket.recv_fds(control, LONGEST, 3)
+        message, files, _, _ = socket.recv_fds(control, LONGEST, 2)
         if not message:
             return
-        answers, *outputs = files
+        answers, output = files
         pid = os.fork()
         if pid == 0:
             control.close()
             os.close(answers)
-            os.dup2(outputs[0], 1)
-            os.dup2(outputs[1], 2)
-        for file in outputs:
-            os.close(file)
+            os.dup2(output, 1)
+            os.dup2(output, 2)
+        os.close(output)
         if pid == 0:
             yield json.loads(message)
         threading.Thread(target=tell, args=(answers, pid)).start()

@@ -1,7 +1,6 @@
-"""KISS-Matcher as an associator, with the package and with a stand-in."""
+"""KISS-Matcher as an associator, and what is said where it is not installed."""
 
 import sys
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,63 +12,34 @@ from benchmarks.variants import KISS
 from mecp_env.core.se2 import compose, inverse, to_map
 
 ON_PAIRS, ON_POINTS = KISS
-ERRORS = np.random.default_rng(3).normal(size=(4, 3))
+needs_kiss = pytest.mark.skipif(not is_installed(kiss.PACKAGE), reason="extra `lab`")
 
 
-def stand_in(monkeypatch: pytest.MonkeyPatch, T: np.ndarray, valid: bool = True) -> list[np.ndarray]:
-    """A matcher that answers with a pose that it is told; what it is given."""
-    c, s = np.cos(T[2]), np.sin(T[2])
-    turn, given = np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]), list[np.ndarray]()
-    solution = SimpleNamespace(valid=valid, rotation=turn, translation=np.array([*T[:2], 0.0]))
-
-    def solve(*clouds: list[np.ndarray]) -> SimpleNamespace:
-        given[:] = [np.array(cloud) for cloud in clouds]
-        return solution
-
-    matcher = SimpleNamespace(prune_and_solve=solve, reset=lambda: None, reset_solver=lambda: None)
-    module = SimpleNamespace(KISSMatcherConfig=lambda **_: None, KISSMatcher=lambda _: matcher)
-    monkeypatch.setitem(sys.modules, kiss.PACKAGE, module)
-    return given
-
-
-def test_pairs_are_those_that_fit_at_the_pose_found_and_a_page_without_them_says_so(
-    monkeypatch: pytest.MonkeyPatch,
-    drive: Drive,
-    finished: rough_pose.Finished,
-) -> None:
-    def count(variant: str = ON_PAIRS, errors: np.ndarray = ERRORS, seen: rough_pose.Look | None = None) -> dict:
-        associator = loop.VARIANTS.get(variant, KISS[ON_PAIRS]).associator(drive.slam)
-        return rough_pose.count_scans(finished, associator, [seen or look] * len(errors), (0.3, 3.0), errors)
-
-    look = rough_pose.look(drive, finished, 100)
-    given = stand_in(monkeypatch, look.T_map_robot)
-    counts = count()
+@needs_kiss
+def test_pairs_are_those_that_fit_at_the_pose_found(drive: Drive, finished: rough_pose.Finished) -> None:
+    here, errors = rough_pose.look(drive, finished, 100), np.random.default_rng(3).normal(size=(4, 3))
+    far = rough_pose.Look(here.corners, here.polygons, here.true, np.array([500.0, 500.0, 0.0]))  # no pairs to solve
+    associator = KISS[ON_PAIRS].associator(drive.slam)
+    counts = rough_pose.count_scans(finished, associator, [here] * 4, (0.3, 3.0), errors)
     assert (counts["right"], counts["wrong"]) == (4, 0)
-    corners, landmarks = given
-    assert corners.shape == landmarks.shape
-    assert len(corners) >= counts["pairs"] / 4
-    assert not corners[:, 2].any()
+    assert rough_pose.count_scans(finished, associator, [far], (0.3, 3.0), np.zeros((1, 3)))["pairs"] == 0
 
-    stand_in(monkeypatch, compose(look.T_map_robot, np.array([3 * kiss.VOXEL_M, 3 * kiss.VOXEL_M, 0.0])))
-    assert count()["right"] == 0
-    stand_in(monkeypatch, look.T_map_robot, valid=False)
-    assert count()["pairs"] == 0
-    unasked = stand_in(monkeypatch, look.T_map_robot)  # without two pairs to solve
-    far = rough_pose.Look(look.corners, look.polygons, look.true, np.array([500.0, 500.0, 0.0]))
-    assert count(errors=np.zeros((1, 3)), seen=far)["pairs"] == 0
-    assert not unasked
 
+def test_a_missing_package_is_named_and_a_page_without_its_rows_says_so(
+    drive: Drive, finished: rough_pose.Finished, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setitem(sys.modules, kiss.PACKAGE, None)
     with pytest.raises(OptionError, match=r"pip install -e '.\[lab\]'"):
         KISS[ON_PAIRS].associator(drive.slam)
-    cell = count("mecp")
+    seen, mecp = rough_pose.look(drive, finished, 100), loop.VARIANTS["mecp"].associator(drive.slam)
+    cell = rough_pose.count_scans(finished, mecp, [seen], (0.3, 3.0), np.zeros((1, 3)))
     without, with_rows = {"mecp": {"s": cell}}, {name: {"s": cell} for name in ("mecp", *KISS)}
     assert "its rows are missing" in loop.report({"paper": loop.summarise([without])})
     assert "its rows are missing" not in loop.report({"paper": loop.summarise([with_rows])})
     assert set(loop.summarise([with_rows, without])) == {"mecp"}
 
 
-@pytest.mark.skipif(not is_installed(kiss.PACKAGE), reason="extra `lab`")
+@needs_kiss
 def test_the_whole_method_finds_how_the_walls_of_a_scan_are_moved(drive: Drive, finished: rough_pose.Finished) -> None:
     seen, T = rough_pose.look(drive, finished, 100), np.array([0.4, -0.3, 0.2])
     associator = KISS[ON_POINTS].associator(drive.slam)

@@ -76,16 +76,12 @@ def test_wrong_input_is_refused(tmp_path, capsys):
         assert "Error" not in told
 
 
-@pytest.mark.parametrize("wrong", ["large", "flipped", "elsewhere", "incomplete", "itself", "no folder"])
+@pytest.mark.parametrize("wrong", ["large", "incomplete", "itself", "no folder"])
 def test_what_is_shipped_stays_when_a_run_cannot_take_its_place(wrong, tmp_path, capsys, monkeypatch):
     weights, run = tmp_path / "weights", make_run(tmp_path / "b", [0.6])
     assert main((make_run(tmp_path / "a", [0.5]),), weights) == 0
-    before, policy = shipped(weights), next(run.glob("policy-*"))
-    if wrong == "flipped":
-        policy.write_bytes(policy.read_bytes()[:-1] + b"x")
-    elif wrong == "elsewhere":
-        write_json(run / "policy.json", {"algorithm": "maskable_ppo", "file": "../x", "sha256": "0"})
-    elif wrong == "incomplete":
+    before = shipped(weights)
+    if wrong == "incomplete":
         (run / "run.json").unlink()
     monkeypatch.setattr("benchmarks.publish_policy.MOST_BYTES", 100 if wrong == "large" else 10**9)
     runs = (weights / "maskable_ppo" if wrong == "itself" else run,)

@@ -44,7 +44,6 @@ def test_words_of_an_option_add_up_in_their_order() -> None:
         ("worlds generate", "--shapes L --seed 3 --shapes T", "spec.shapes", ("L", "T")),
         ("train", "ppo --buildings.difficulty easy --buildings.difficulty hard", "fields.buildings.difficulty", None),
         ("demo", "--config.reward.custom a 1 --config.reward.custom b 2", "config.reward.custom", {"a": 1, "b": 2}),
-        ("slam", "x.bag --scan-topic /a --scan-topic /b", "scan_topic", ("/a", "/b")),
         ("demo", "--with a --with b", "modules", ("a", "b")),
     ],
 )

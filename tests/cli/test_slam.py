@@ -205,12 +205,3 @@ def test_after_ctrl_c_the_map_so_far_is_kept(log: Path, tmp_path: Path, monkeypa
     assert metrics_of(out)["ended"] == "interrupted"
     assert metrics_of(out)["scans"] == 20
     assert isinstance(SlamMap.load(saved).restore(SlamPipeline), SlamPipeline)
-
-
-@pytest.mark.slow
-@pytest.mark.usefixtures("blank_figures")
-def test_a_laser_that_sees_more_than_that_of_the_map(log: Path, tmp_path: Path, capsys: Said) -> None:
-    small, saved = write_archive(tmp_path / "small.npz"), tmp_path / "map.zip"
-    assert cli.main(["slam", str(small), "--out", str(tmp_path / "a"), "--save-map", str(saved)]) == 0
-    assert cli.main(["slam", str(log), "--out", str(tmp_path / "b"), "--from-map", str(saved)]) == 2
-    assert "field_of_view_deg" in capsys.readouterr().err

@@ -161,17 +161,6 @@ def test_a_building_may_be_called_anything(tmp_path: Path, capsys: Said) -> None
     assert all(sign.isprintable() for sign in (said.out + said.err).replace("\n", ""))
 
 
-def test_a_file_of_strangers_does_not_speak_to_the_terminal(tmp_path: Path, capsys: Said) -> None:
-    path = tmp_path / "plan\x1b[2J.json"
-    path.write_text('{"\\u001b]0;owned\\u0007": 1, "\\u001b]0;owned\\u0007": 2}')
-    for line in (["worlds", "stats"], ["worlds", "draw"], ["worlds", "validate"], ["demo", "--layout"]):
-        assert cli.main([*line, str(path)]) == 2
-    said = capsys.readouterr()
-    assert all(sign.isprintable() for sign in (said.out + said.err).replace("\n", ""))
-    assert "plan?[2J.json" in said.out
-    assert len([line for line in said.err.splitlines() if line]) == 3
-
-
 def test_the_options_of_a_plan_are_options_of_the_commands(tmp_path: Path, capsys: Said) -> None:
     """Seen: only resolution_m and kind were; an image with grey unknown could not be read as it should."""
     picture, house = plans.save(plans.two_rooms_picture(), tmp_path / "plan.png"), tmp_path / "house.json"

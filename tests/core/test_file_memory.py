@@ -7,8 +7,6 @@ import gzip
 import io
 import json
 import random
-import subprocess
-import sys
 import tracemalloc
 import zipfile
 from collections.abc import Iterator
@@ -19,9 +17,8 @@ import pytest
 from PIL import Image
 
 from mecp_env.core import files
-from tests.processes import needs_linux
+from tests.processes import costs, needs_linux
 
-ROOT = Path(__file__).parents[2]
 MOST_MB, MOST_S = 300, 20.0  # of processor time
 SIZE = 5_000_000
 ITEMS = {"numbers": "999,", "wide texts": '"\U0001f600",', "lists": "[0],", "objects": '{"a":0},'}  # of a long list
@@ -42,25 +39,6 @@ READERS = {  # kind -> name of the file, and what reads it
 }
 FIELDS = {"layout": '{"walls":LIST}', "plan": '{"walls":[{"points":LIST}]}'}
 FIELDS |= {"submission": '{"results":LIST}', "run": '{"config":LIST}'}
-MEASURE = """
-import os, sys, time, warnings
-from pathlib import Path
-warnings.simplefilter("ignore")
-READ
-for path in map(Path, sys.argv[1:]):
-    if child := os.fork():  # what a file left behind is not counted for the next one
-        assert os.waitpid(child, 0)[1] == 0
-        continue
-    Path("/proc/self/clear_refs").write_text("5")  # forget the peak
-    start = time.process_time()
-    try:
-        said = type(read(path)).__name__
-    except ValueError as error:
-        said = "/".join(kind.__name__ for kind in type(error).__mro__)
-    peak = int(Path("/proc/self/status").read_text().partition("VmHWM:")[2].split()[0]) / 1024
-    print(path.parent.name, round(peak), round(time.process_time() - start, 1), said, sep=";", flush=True)
-    os._exit(0)
-"""
 
 
 def items(kind: str, size: int) -> str:
@@ -140,13 +118,10 @@ def test_no_small_file_takes_much_memory(read: str, tmp_path: Path) -> None:
             paths.append(tmp_path / f"{kind} {number}" / name)
             paths[-1].parent.mkdir()
             paths[-1].write_bytes(data)
-    code = MEASURE.replace("READ", read)
-    run = subprocess.run([sys.executable, "-c", code, *paths], capture_output=True, text=True, cwd=ROOT, check=False)
-    assert run.returncode == 0, run.stderr[-500:]
-    rows = [line.split(";") for line in run.stdout.splitlines()]
+    rows = costs(read, paths)
     assert len(rows) == len(paths) >= 2
-    assert not [row for row in rows if float(row[1]) > MOST_MB or float(row[2]) > MOST_S]
-    assert all("Error" not in row[3] or "MecpError" in row[3] for row in rows)
+    assert not [row for row in rows if row.peak_mb > MOST_MB or row.seconds > MOST_S]
+    assert all("Error" not in row.said or "MecpError" in row.said for row in rows)
 
 
 @pytest.mark.parametrize("kind", ITEMS)

@@ -1,34 +1,20 @@
-"""Worker processes (tests/vector has more), and how many cores a process may use."""
+"""Single worker processes (tests/vector has those of a pool), and how many cores a process may use."""
 
 import os
 import signal
-import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from mecp_env.core import processes
-from mecp_env.core.processes import THREADS, Failure, Worker, WorkerDied, WorkerPool, cores
-from tests.processes import gone_within, needs_linux
+from mecp_env.core.processes import THREADS, Worker, WorkerDied, cores
+from tests.processes import needs_linux
 
 pytestmark = needs_linux
 
 
 class Target:
     """Answers questions of a test."""
-
-    place = "room 3"
-
-    def __init__(self, name: str = "") -> None:
-        self.name = name
-
-    def open(self) -> str:
-        return self.name
-
-    def close(self) -> None:
-        if self.name == "slow":
-            time.sleep(60)
 
     def signals(self) -> tuple[bool, bool]:
         """Whether Ctrl-C is blocked, and ignored."""
@@ -40,16 +26,6 @@ class Target:
 
     def end(self, number: int) -> None:
         os.kill(os.getpid(), number) if number else os._exit(3)
-
-    def fail(self, error: Exception) -> None:
-        raise error
-
-
-@pytest.fixture
-def worker() -> Any:
-    made = Worker(Target("x"), "worker 7", "fork")
-    yield made
-    made.stop()
 
 
 def ask(worker: Worker, name: str, *arguments: Any) -> Any:
@@ -73,40 +49,11 @@ def test_a_worker_has_one_thread_and_is_out_of_reach_of_ctrl_c(method: str, monk
 @pytest.mark.parametrize(
     ("number", "words"), [(0, "ended with exit code 3"), (signal.SIGKILL, "was killed by SIGKILL")]
 )
-def test_what_ended_a_worker_is_said_in_words(worker: Worker, number: int, words: str) -> None:
+def test_what_ended_a_worker_is_said_in_words(number: int, words: str) -> None:
+    worker = Worker(Target(), "worker 7", "fork")
     with pytest.raises(WorkerDied, match=f"^worker 7 {words}$"):
         ask(worker, "end", number)
-
-
-def test_an_exception_comes_with_place_and_traceback(worker: Worker) -> None:
-    failure = ask(worker, "fail", KeyError("x"))
-    assert isinstance(failure, Failure)
-    assert isinstance(failure.error, KeyError)
-    assert failure.note.startswith("in room 3:\nTraceback")
-    assert failure.reason.startswith("KeyError: 'x' (fail, line ")
-    assert isinstance(ask(worker, "open"), str)  # and it goes on
-
-
-def test_a_pool_that_loses_a_worker_stops_the_others_and_says_so() -> None:
-    pool = WorkerPool({"a": Target("a"), "b": Target("b")}, "fork")
-    pids = pool.pids
-    pool.ask("open", [(), ()])
-    assert pool.gather() == ["a", "b"]
-    os.kill(pids[1], signal.SIGKILL)
-    assert gone_within(pids[1:], 1.0)
-    with pytest.raises(WorkerDied, match="b was killed by SIGKILL; the others are stopped"):
-        pool.ask("open", [(), ()])
-    assert gone_within(pids, 1.0)
-    pool.close()
-
-
-def test_a_worker_that_does_not_stop_is_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(processes, "STOP_S", 0.3)
-    pool = WorkerPool({"slow": Target("slow")}, "fork")
-    pids, start = pool.pids, time.monotonic()
-    pool.close()
-    assert time.monotonic() - start < 3.0
-    assert gone_within(pids, 0.0)
+    worker.stop()
 
 
 def write(root: Path, files: dict[str, str]) -> Path:

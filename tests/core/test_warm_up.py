@@ -5,7 +5,6 @@ import signal
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
 
 import pytest
 
@@ -22,17 +21,11 @@ def cold(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Path:
     return tmp_path / "cache"
 
 
-@pytest.fixture
-def driven(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
-    """The drives that were started."""
-    found: list[Any] = []
-    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: found.append(drives) or ())
-    return found
-
-
 def test_the_first_use_compiles_and_says_so_in_one_line(
-    cold: Path, driven: list[Any], caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+    cold: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    driven = list[tuple[str, ...]]()
+    monkeypatch.setattr(warm_up, "compile_ahead", lambda drives, report: driven.append(drives) or ())
     with monkeypatch.context() as patch:
         patch.setenv(warm_up.SWITCH, "0")
         warm_up.prepare()

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 RESOLUTION_M = 0.05
+SECONDS, MEGABYTES = 6.0, 200  # at most for a file, as docs/plans.md promises, with twice the time for a busy machine
 Picture = NDArray[np.uint8]
 
 _FOLDERS = (parent / "shared/data/plans" for parent in Path(__file__).resolve().parents)

@@ -13,7 +13,7 @@ from mecp_env.core.errors import LayoutError
 from mecp_env.floorplans import load_plan
 from mecp_env.world.layout import load_layout
 from tests.floorplans import mutations
-from tests.floorplans.untrusted import SECONDS
+from tests.floorplans.plans import SECONDS
 
 pytestmark = pytest.mark.filterwarnings("ignore::mecp_env.core.errors.PlanWarning")
 

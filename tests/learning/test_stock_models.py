@@ -204,9 +204,7 @@ ARRAY = spaces.Box(-1, 1, (104,))
         (spaces.Dict(pose=spaces.Box(0, 1, (4,))), spaces.Discrete(5), r"\(pose Box\(0, .*pose Box\(-.*what wrappers"),
         (spaces.Box(0, 255, (12, 64, 64), np.uint8), spaces.Discrete(5), r"\(12, 64, 64\).*\(3, 64, 64\).*'image'"),
         (spaces.Discrete(4), spaces.Discrete(5), r"Discrete\(4\); environments have"),
-        (ARRAY, spaces.Discrete(6), r"Discrete\(6\).*Discrete\(5\) with actions='discrete'"),
         (ARRAY, spaces.Box(-2, 2, (3,)), r"Box\(-2.*with actions='velocity'"),
-        (spaces.Dict(goals=spaces.Box(-1, 1, (8, 9))), spaces.Discrete(5), r"goals .*\(8, 9\).*goals .*\(32, 9\)"),
     ],
 )
 def test_spaces_of_no_environment_name_both_sides(observations: Any, actions: Any, message: str) -> None:

@@ -16,39 +16,30 @@ from mecp_env.world.outline import Outline, build_outline
 STEP_M, TURN_RAD, CLEAR_M = 0.15, 0.25, 0.35
 
 
-def simulated_log(
-    model: OdometryModel,
-    x_m: float = 0.08,
-    range_sigma_m: float = 0.02,
-    scans: int = 1000,
-    seed: int = 0,
-    step_m: float = STEP_M,
-) -> Log:
+def simulated_log(model: OdometryModel, x_m: float = 0.08, scans: int = 1000, seed: int = 0) -> Log:
     """A drive through the office; the odometry errs as the model says, and the log does not say where the laser is."""
     rng, outline = np.random.default_rng(seed), build_outline(load_layout("office"))
-    laser = LaserConfig(
-        sweeps=1, beams=181, field_of_view_deg=180.0, range_sigma_m=range_sigma_m, max_range_m=20.0, x_m=x_m
-    )
-    true = wandering(outline, scans, step_m, rng)
+    laser = LaserConfig(sweeps=1, beams=181, field_of_view_deg=180.0, range_sigma_m=0.02, max_range_m=20.0, x_m=x_m)
+    true = wandering(outline, scans, rng)
     taken = [Laser(outline, laser).scan(pose, rng) for pose in true]
     ranges = np.array([np.where(scan.hit[0], scan.ranges[0], np.nan) for scan in taken])
     noisy = chained(measured(with_noise(between(true[:-1], true[1:]), model, rng), model.correction))
     return Log("simulated", 0.4 * np.arange(scans), ranges, taken[0].bearings[0], 20.0, np.zeros(3), noisy, true)
 
 
-def wandering(outline: Outline, scans: int, step_m: float, rng: np.random.Generator) -> np.ndarray:
+def wandering(outline: Outline, scans: int, rng: np.random.Generator) -> np.ndarray:
     """(n,3) poses from one random place to the next that can be seen, turning while driving."""
     area = outline.free_area.buffer(-CLEAR_M)
     low, high = np.reshape(area.bounds, (2, 2))
     poses, goal = [np.array(outline.starts[0], float)], None
     while len(poses) < scans:
         x, y, heading = poses[-1]
-        while goal is None or math.dist(goal, (x, y)) < step_m:
+        while goal is None or math.dist(goal, (x, y)) < STEP_M:
             tried = rng.uniform(low, high)
             goal = tried if area.contains(LineString([(x, y), tried])) else goal
         turn = math.remainder(math.atan2(goal[1] - y, goal[0] - x) - heading, 2.0 * math.pi)
         turn = min(max(turn, -TURN_RAD), TURN_RAD)
-        ahead = step_m * (abs(turn) < 0.5 * TURN_RAD)
+        ahead = STEP_M * (abs(turn) < 0.5 * TURN_RAD)
         poses.append(composed(poses[-1], np.array([ahead * math.cos(turn / 2), ahead * math.sin(turn / 2), turn])))
         if not area.contains(LineString([(x, y), poses[-1][:2] + 1e-6])):
             goal, poses[-1] = None, composed(poses[-2], np.array([0.0, 0.0, TURN_RAD]))

@@ -147,7 +147,6 @@ NO_LOGS: list[tuple[str, bytes, str]] = [
             (b"\xfd7zXZ\x00", "xz: unpack"),
             (b"PK\x03\x04", "zip: unpack it first, or save a spreadsheet as .csv"),
             (b'{"t": 0.0, "ranges": [1.0, 2.0]}\n', "JSON: write"),
-            (b'[{"t": 0.0, "ranges": [1.0, 2.0]}]\n', "JSON: write"),
             (b"header:\n  seq: 1\n---\n", "record a bag"),
             ("t,x,y,heading".encode("utf-16"), "UTF-8"),
         )

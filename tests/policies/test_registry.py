@@ -115,7 +115,6 @@ class Wrong(Nearest):
     [
         (5, "5, expected a dict"),
         ({"observatoin": "flat"}, "observatoin: no such field; did you mean 'observation'"),
-        ({"id": "mecp_env/First-v0"}, "id: no such field"),
         ({"max_steps": 5, "estimator": "truth"}, "of estimator, max_steps, which the evaluation selects"),
         ({"reward": {"preset": "coverage", "area": 3.0}}, "area: 3 contradicts the preset 'coverage'"),
         ({"actions": "velocity"}, "of actions 'velocity', but its `actions` are 'goal'"),

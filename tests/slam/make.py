@@ -101,14 +101,12 @@ def odometry(increments: Any = ((0.0, 0.0),), sigmas: Any = (0.0, 0.0), cov: Any
     return Odometry(increments, column(cov, (len(increments), 2, 2)), bumper)
 
 
-def beams(
-    ranges: Any, bearings: Any = None, hit: Any = None, count: Any = 1, max_range_m: float = MAX_RANGE_M
-) -> MergedScan:
-    """Beams (B,) with one raw beam behind each; what is nearer than `max_range_m` is hit."""
+def beams(ranges: Any, bearings: Any = None, hit: Any = None) -> MergedScan:
+    """Beams (B,) with one raw beam behind each; what is nearer than `MAX_RANGE_M` is hit."""
     ranges = np.array(ranges, float)
     bearings = nominal_bearings(1, len(ranges))[0] if bearings is None else bearings
-    hit = column(ranges < max_range_m if hit is None else hit, ranges.shape, np.bool_)
-    return MergedScan(ranges, bearings, hit, column(count, ranges.shape, np.int64), max_range_m, ranges, bearings)
+    hit = column(ranges < MAX_RANGE_M if hit is None else hit, ranges.shape, np.bool_)
+    return MergedScan(ranges, bearings, hit, column(1, ranges.shape, np.int64), MAX_RANGE_M, ranges, bearings)
 
 
 def clusters(first: Any, last: Any, kind: Any = 0, roll: int = 0) -> Clusters:
@@ -199,10 +197,8 @@ def door(
     return Door(id, jambs, other_face, rooms, sightings)
 
 
-def candidate(
-    ends: Any = ((0.0, 0.0), (0.0, 0.0)), room: int = 0, ids: Any = (NO_ID, NO_ID), sightings: int = 1
-) -> Candidate:
-    return Candidate(np.array(ends, float), ids, room, sightings, 1)
+def candidate(ends: Any = ((0.0, 0.0), (0.0, 0.0)), room: int = 0, ids: Any = (NO_ID, NO_ID)) -> Candidate:
+    return Candidate(np.array(ends, float), ids, room, 1, 1)
 
 
 def graph(current: int = 0, rooms: Any = (0,), **fields: Any) -> RoomGraph:

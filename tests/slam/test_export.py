@@ -34,6 +34,10 @@ def test_output_pipeline_and_command_write_the_same_files(mapped: Any, tmp_path:
     for path in written:
         for folder in folders.values():
             assert (folder / path.name).read_bytes() == path.read_bytes()
+    landmarks = list(csv.DictReader((folders["output"] / "x.csv").open()))
+    assert all(float(row["var_x_m2"]) > 0.0 for row in landmarks)
+    kinds = [text.split()[0] for text in (folders["output"] / "x.g2o").read_text().splitlines()]
+    assert [kinds.count(kind) for kind in ("VERTEX_SE2", "VERTEX_XY", "EDGE_SE2_XY")] == [1, *[len(landmarks)] * 2]
     outlines = json.loads((folders["output"] / "x.geojson").read_text())["features"]
     assert [outline["properties"]["kind"] for outline in outlines] == ["room", "room", "door"]
     assert sorted(outlines[2]["properties"]["rooms"]) == [0, 1]

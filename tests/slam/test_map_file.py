@@ -154,7 +154,6 @@ def changed(slam_map: SlamMap, path: str, value: Any) -> SlamMap:
         ("grid", {"@object": ["os:system", {}]}, "state: 'os:system' is not a class of mecp_env"),
         ("grid.canvas.resolution_m", 0.07, r"grid\.canvas\.resolution_m: 0\.07, configured"),
         ("filter.slot_ids", {"@array": [np.arange(-500, 500), True]}, r"filter: state .* for slot_ids \(1000,\)"),
-        ("filter.state", {"@array": [np.zeros((301, 303)), True]}, r"filter: state \(301, 303\) for slot_ids"),
     ],
 )
 def test_a_damaged_map_names_the_file_and_the_field(

@@ -135,9 +135,7 @@ def test_a_time_limit_is_a_keyword_and_wrappers_are_for_each_environment() -> No
 
 WRONG = {
     "num_envs: '2'": {"count": "2"},
-    "num_envs: 0": {"count": 0},
     "workers: 0": {"workers": 0},
-    "workers: 1.5": {"workers": 1.5},
     "autoreset_mode: 'sometimes'.*'NextStep'": {"autoreset_mode": "sometimes"},
     "context: 'thread'.*spawn": {"context": "thread"},
 }

@@ -47,17 +47,6 @@ def test_the_batch_gives_what_their_own_class_gives(actions: str) -> None:
         assert same(plain(mine), plain(yours))
 
 
-def test_a_divergence_is_an_end() -> None:
-    """Seen: as a truncation, the value of the next state was added, and divergence was worth as much as the map."""
-    venv = make_batch(slam={"filter": {"diverged_sigma_m": 0.0003}})
-    venv.reset()
-    dones = np.zeros(N, np.bool_)
-    while not dones.any():
-        _, _, dones, infos = venv.step(np.tile(np.float32([0.5, 0.5]), (N, 1)))
-    ended = [infos[i] for i in np.flatnonzero(dones)]
-    assert all(info["diverged"] and not info["TimeLimit.truncated"] for info in ended)
-
-
 def plain(value: Any) -> Any:
     """Without the difference between numbers of Python and of NumPy in infos."""
     if isinstance(value, dict):
