@@ -105,9 +105,9 @@ def test_mean_of_gaussians(kind, paper_S):
     slots = np.array([3, 0, 5, 2])
     z = expected(pair.twin.x, slots)
     R = random_cov(pair.rng, np.tile([0.05, 0.01], 4))
-    noisy = z + 0.5 * pair.rng.multivariate_normal(np.zeros(8), R).reshape(4, 2)
+    noisy = z + 0.05 * pair.rng.multivariate_normal(np.zeros(8), R).reshape(4, 2)
     nis = pair.filter.mean_of_gaussians_nis(noisy, R, pair.ids[slots], paper_S)
-    tolerance = 1e-9 if paper_S or kind == "ekf" else 0.02  # the others leave out J nu, zero for the true pair
+    tolerance = 1e-9 if paper_S or kind == "ekf" else 2e-3  # the others leave out J nu, which vanishes with the noise
     assert nis == pytest.approx(centre_twin(pair, noisy, R, slots, paper_S), rel=tolerance)
     shifted = pair.filter.mean_of_gaussians_nis(np.roll(noisy, 1, axis=0), np.eye(8) * 1e-4, pair.ids[slots])
     unshifted = pair.filter.mean_of_gaussians_nis(noisy, np.eye(8) * 1e-4, pair.ids[slots])
