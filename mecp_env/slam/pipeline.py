@@ -116,7 +116,7 @@ class SlamPipeline(SlamParts):
         return match, updated, self.guard.evidence(said, match, view, sharp)
 
     def _is_clear(self, around: Surroundings, view: MapView) -> bool:
-        """True when a search by this scan alone finds the pose of the filter."""
+        """True when the prediction allows the pose of the filter, or a search by this scan alone finds it."""
         beams, grid = around.scan.beams, self.grid.canvas.grid
         return self.guard.is_clear(around.corners, around.polygons, view, beams, grid, self.filter.belief())
 

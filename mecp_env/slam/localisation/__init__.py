@@ -11,6 +11,7 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
+from scipy.special import chdtri
 
 from mecp_env.core.carriers import Array, Bools, Bytes, Ints
 from mecp_env.core.jit import compiled
@@ -34,6 +35,7 @@ from mecp_env.slam.protocols import Filter
 
 FREE, OCCUPIED, DOOR = int(Cell.FREE), int(Cell.OCCUPIED), int(Cell.DOOR)
 REFUSED = int(Reason.REFUSED)
+LEAST_POSE_COV = 1e-12 * np.eye(3)  # m^2, rad^2: what has an inverse, where the true pose is given
 
 
 class Agreement(NamedTuple):
@@ -358,13 +360,23 @@ class PoseGuard:
         grid: SemanticGrid,
         belief: Belief,
     ) -> bool:
-        """True when a search by this scan alone finds the pose of a belief, as failed odometry may have left it."""
-        if self.certain:
+        """True when nothing else may be the pose of a belief, as failed odometry may have left it.
+
+        A sharp prediction allows it: odometry need not have failed. Or a search by this scan alone finds it.
+        """
+        if self.certain or self._expects(view.belief, belief):
             return True
         judge = partial(self._judge, corners=corners, beams=beams, grid=grid, predicted=view.belief.T_map_robot)
         won = clear_winner([*map(judge, self._index(view).locate(corners, polygons))], self.config)
         off = math.dist(won.at.T_map_robot[:2], belief.T_map_robot[:2]) if won else math.inf
         return off < 2.0 * self.config.inlier_m
+
+    def _expects(self, predicted: Belief, belief: Belief) -> bool:
+        """True where a sharp prediction allows the pose of a belief."""
+        off = belief.T_map_robot - predicted.T_map_robot
+        off[2] = wrap_angle(off[2])
+        nis = off @ np.linalg.solve(predicted.pose_cov + LEAST_POSE_COV, off)
+        return self.pairing.is_sharp(predicted) and bool(nis <= chdtri(3, 1.0 - self.pairing.gate_probability))
 
     def is_same(self, evidence: Evidence, one: Belief, other: Belief) -> bool:
         """True when beams and corners agree with one pose, and the other is the same place: odometry has not failed.

@@ -314,6 +314,19 @@ def test_a_corner_more_at_the_same_place_is_no_sign_of_failed_odometry(guard, sh
     assert not guard.is_same(evidence(1.0, 0.5), one, make.belief((3.0, 2.0, 2.9)))
 
 
+@pytest.mark.parametrize(
+    ("turned", "sigma", "clear"),
+    [(0.04, 0.015, True), (0.04, 0.0, False), (0.08, 0.015, False), (0.08, 0.11, False)],
+)
+def test_a_pose_that_a_sharp_prediction_allows_needs_no_search(guard, mapped, turned, sigma, clear) -> None:
+    """Of an empty scan, a search finds nothing."""
+    pipeline, output, _ = mapped
+    pose, graph, nothing = output.belief.T_map_robot, output.graph, make.corners()
+    predicted = replace(output.belief, T_map_robot=pose + np.array([0.0, 0.0, turned]), pose_cov=np.eye(3) * sigma**2)
+    view = pipeline.map.view(predicted, graph, np.empty(0, np.int64), output.step)
+    assert guard.is_clear(nothing, (), view, output.beams, output.grid, output.belief) == clear
+
+
 def way_back(drive, error):
     """Odometry and scans of the last 20 steps in reverse order, the first reading with an `error` (m, rad)."""
     back = list(range(len(drive.scans) - 1, len(drive.scans) - 21, -1))
