@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from mecp_env.slam.association.mecp import MecpAssociator
 from mecp_env.slam.checks import SensorError
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SensorModel, SlamConfig
 from mecp_env.slam.landmark_map import LandmarkMap
@@ -218,6 +219,14 @@ def test_tracks_are_confirmed_sooner_after_a_wide_prediction(mapping, monkeypatc
     tracked = spied(monkeypatch, LandmarkMap, "track")
     pipeline.step(*step)
     assert [call["wide"] for call in tracked] == [wide]
+
+
+def test_while_the_pose_is_searched_for_nothing_is_associated_and_odometry_not_doubted_again(mapping, monkeypatch):
+    pipeline, step = mapping
+    pipeline.lose_pose()
+    asked, judged = spied(monkeypatch, MecpAssociator, "associate"), spied(monkeypatch, PoseGuard, "evidence")
+    pipeline.step(*step)
+    assert (len(asked), len(judged)) == (0, 1)
 
 
 @pytest.mark.parametrize("found", [False, True])
