@@ -112,7 +112,7 @@ class SlamParts:
     def register(self, scan: ScanFeatures) -> bool:
         """Correct the prediction by the window of recent scans; True when a scan agrees with them."""
         with self.divergence:
-            return self.recent.register(scan, self.filter)
+            return self.recent.register(scan, self.filter, lost=not self.guard.localised)
         return False
 
     def begin_step(self) -> BegunStep:

@@ -141,6 +141,7 @@ class RecentScans:
     scans: list[RecentScan] = field(default_factory=list)
     next_mark: int = FIRST_MARK
     registered: Registered | None = None  # that of the last scan
+    lost: bool = False  # the pose is searched for: every scan is registered, since odometry alone would drift
     linked: bool = False  # nothing says that the last scan was taken elsewhere
     vouched: bool = False  # it was registered, and a scan of the window that its track goes back to had a sure pose
 
@@ -149,16 +150,19 @@ class RecentScans:
         self.least_corners = config.localisation.least_corners
         self.limits = RegistrationLimits.of(config)
         self.scans, self.next_mark, self.registered = [], FIRST_MARK, None
-        self.linked = self.vouched = False
+        self.lost = self.linked = self.vouched = False
 
     def are_used(self, scan: ScanFeatures) -> bool:
-        """True for a scan that the window completes, or that shows few corners."""
-        use, few = self.config.use, len(scan.corners) < self.least_corners
+        """True for a scan that the window completes, or whose corners do not tell where the robot is."""
+        use, few = self.config.use, self.lost or len(scan.corners) < self.least_corners
         return use == "always" or (use != "never" and scan.beams.blind) or (use == "needed" and few)
 
-    def register(self, scan: ScanFeatures, landmark_filter: Filter) -> bool:
-        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree."""
-        self.registered, self.linked, self.vouched = None, False, False
+    def register(self, scan: ScanFeatures, landmark_filter: Filter, lost: bool = False) -> bool:
+        """Update the filter with the motion since the newest scan of the window; True when the surfaces agree.
+
+        `lost`: the pose is searched for.
+        """
+        self.lost, self.registered, self.linked, self.vouched = lost, None, False, False
         if not (self.scans and self.are_used(scan)):
             return False
         since, spread = self._poses(self.scans, landmark_filter)
