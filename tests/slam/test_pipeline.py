@@ -229,6 +229,17 @@ def test_while_the_pose_is_searched_for_nothing_is_associated_and_odometry_not_d
     assert (len(asked), len(judged)) == (0, 1)
 
 
+@pytest.mark.parametrize("lost", [False, True])
+def test_scans_with_enough_corners_are_registered_while_the_pose_is_searched_for(drive, mapping, monkeypatch, lost):
+    pipeline, step = mapping
+    if lost:
+        pipeline.lose_pose()
+        monkeypatch.setattr(PoseGuard, "search", lambda *_: None)
+    pipeline.step(*step)
+    pipeline.step(drive.odometry[13], drive.scans[13])  # with the one before
+    assert (pipeline.recent.registered is not None) == lost
+
+
 @pytest.mark.parametrize("found", [False, True])
 def test_a_pose_that_is_found_empties_the_window_of_recent_scans(mapping, monkeypatch, found):
     pipeline, step = mapping

@@ -262,10 +262,8 @@ def counted_end(scan: RolledScan, end: LineEnd, limits: Record, noise: Noise) ->
         if not scan.hit[q] or math.cos(turn) < noise.least_cosine:
             continue
         expected = end.rho / math.cos(turn)
-        sigma, beyond = (
-            math.hypot(noise.range_m, expected * math.tan(turn) * noise.bearing),
-            scan.polar[0, q] - expected,
-        )
+        sigma = math.hypot(noise.range_m, expected * math.tan(turn) * noise.bearing)
+        beyond = scan.polar[0, q] - expected
         if beyond > limits.line_m + noise.outlier * sigma:  # a beam of the wall may follow those that were lost
             gap = min(gap, beyond)
     spacing = (scan.raw_bearings[total - 1] - scan.raw_bearings[0]) / (total - 1)

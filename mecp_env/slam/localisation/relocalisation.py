@@ -99,12 +99,13 @@ class LandmarkIndex:
         return Located(pose, OPEN_COV, corners, self.ids[row[corners]], off, len(seen.p) - len(corners) + off)
 
     def _off(self, seen: Points, pose: Array, corners: Ints, row: Ints) -> float:
-        """How far the `corners` (c,) are off their landmarks: the sum of their NIS, as shares of `nis_of_one`."""
+        """How far the `corners` (c,) are off their landmarks: by what noise leaves of the NIS, as shares of one."""
         off = moved(pose[None], seen.p[corners])[0] - self.landmarks.p[row]
         cov = turned(seen.cov[corners], pose[2]) + self.landmarks.cov[row] + LEAST_COV
         nu = np.stack((off.real, off.imag), axis=-1)[..., None]
         nis = (nu * np.linalg.solve(cov, nu)).sum(axis=(1, 2))
-        return float(np.minimum(nis / self.nis_of_one, 1.0).sum())
+        beyond = np.maximum(nis - 2.0, 0.0)  # noise alone has 2 on the average
+        return float(np.minimum(beyond / self.nis_of_one, 1.0).sum())
 
     def _by_polygon(self, ring: Complexes) -> Array:
         """Poses (h,3) that put the corners `ring` (k,) of a polygon onto a map polygon of the same shape."""

@@ -170,7 +170,8 @@ def test_what_a_pose_leaves_unexplained_is_counted_in_corners():
         J = np.array([[math.cos(b), -r * math.sin(b)], [math.sin(b), r * math.cos(b)]])
         S = turn @ J @ (cov * np.eye(2)) @ J.T @ turn.T + covs * np.eye(2)
         nu = np.array([x, y]) + turn @ (r * np.array([math.cos(b), math.sin(b)])) - p_map[row]
-        misfit += min(nu @ np.linalg.inv(S) @ nu / PAIRING.rival_gap, 1.0)
+        nis = nu @ np.linalg.inv(S) @ nu  # noise alone: 2 on the average
+        misfit += min(max(nis - 2.0, 0.0) / PAIRING.rival_gap, 1.0)
     assert (at.misfit, at.off) == pytest.approx((misfit, misfit - 1.0))
 
 
