@@ -182,7 +182,8 @@ class PanoramaConfig(Settings):
     """Recent scans around the robot, where a scan does not surround it; paper: none, its laser sees all around."""
 
     use: Literal["blind", "needed", "always", "never"] = "needed"  # blind: for lasers with a blind side
-    # needed: and for scans of fewer corners than tell where the robot is (`localisation.least_corners`)
+    # needed: and for scans of fewer corners than tell where the robot is (`localisation.least_corners`), and while the
+    # pose is searched for
     scans: int = Field(6, ge=1, le=50)  # at most, in the window
     spacing_m: float = Field(1.0, gt=0.0, le=10.0)  # between the poses of two of them, or a turn by half as many rad
 
