@@ -62,7 +62,7 @@ class LandmarkIndex:
     def __init__(self, view: MapView, config: LocalisationConfig, reach_m: float, pairing: AssociationConfig) -> None:
         belief, rows = view.belief, view.features.rows[view.belief.ids]
         self.config, self.tolerance = config, math.radians(pairing.descriptor_deg)
-        self.nis_of_one = max(pairing.rival_gap, 1e-9)  # a corner so far off its landmark is not explained
+        self.nis_of_one = max(pairing.rival_gap, 1e-9)  # beyond that of noise: a corner so far off is not explained
         self.ids = belief.ids
         self.landmarks = Points(as_complex(belief.p_map), belief.covs, rows["convex"] > 0, rows["normals"])
         self.tree = KDTree(view.belief.p_map.reshape(-1, 2))
@@ -99,7 +99,7 @@ class LandmarkIndex:
         return Located(pose, OPEN_COV, corners, self.ids[row[corners]], off, len(seen.p) - len(corners) + off)
 
     def _off(self, seen: Points, pose: Array, corners: Ints, row: Ints) -> float:
-        """How far the `corners` (c,) are off their landmarks: by what noise leaves of the NIS, as shares of one."""
+        """How far the `corners` (c,) are off their landmarks: the NIS that noise does not explain, as shares."""
         off = moved(pose[None], seen.p[corners])[0] - self.landmarks.p[row]
         cov = turned(seen.cov[corners], pose[2]) + self.landmarks.cov[row] + LEAST_COV
         nu = np.stack((off.real, off.imag), axis=-1)[..., None]
