@@ -266,6 +266,8 @@ class FilterConfig(Settings):
 class LocalisationConfig(Settings):
     """A wrong pose is noticed, and the right one found again without a prior; paper: none."""
 
+    DERIVED: ClassVar = ("sure",)
+
     explained_share: float = Field(0.65, ge=0.0, lt=1.0)  # of the beams in mapped space, and of all, at least; of the
     # corners, too, where failed odometry does not explain the pose; 0: never
     scans: int = Field(2, ge=1, le=1000)  # in a row that contradict the map, before the pose is searched for; that
@@ -276,6 +278,11 @@ class LocalisationConfig(Settings):
     weight: float = Field(20.0, ge=0.0, le=1000.0)  # log-odds of the pose for one share of beams instead of none
     most_hypotheses: int = Field(300, ge=1, le=10_000)
     error_m: float = Field(0.5, gt=0.0, le=10.0)  # `confidence` is the probability of a smaller position error
+
+    @property
+    def sure(self) -> float:
+        """Log-odds of a pose after a scan all of whose beams agree; no scans make it surer."""
+        return self.weight * (1.0 - self.explained_share)
 
 
 class RoomConfig(Settings):

@@ -112,7 +112,8 @@ class SlamParts:
     def register(self, scan: ScanFeatures) -> bool:
         """Correct the prediction by the window of recent scans; True when a scan agrees with them."""
         with self.divergence:
-            return self.recent.register(scan, self.filter, lost=not self.guard.localised)
+            most = 0.25 * self.guard.slack()  # odometry that has failed is off by all that it reported, two sigmas
+            return self.recent.register(scan, self.filter, self.guard.update, most, lost=not self.guard.localised)
         return False
 
     def begin_step(self) -> BegunStep:

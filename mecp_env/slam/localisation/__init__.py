@@ -202,12 +202,7 @@ class PoseGuard:
     certain: bool = False  # correspondences are known
 
     def __post_init__(self) -> None:
-        self.log_odds = self.sure
-
-    @property
-    def sure(self) -> float:
-        """Log-odds of a pose after a scan all of whose beams agree; no scans make it surer."""
-        return self.config.weight * (1.0 - self.config.explained_share)
+        self.log_odds = self.config.sure
 
     @property
     def is_sure(self) -> bool:
@@ -228,13 +223,11 @@ class PoseGuard:
 
     def slack(self) -> Array:
         """(3,3) covariance by which a predicted pose is wrong if odometry since the last trusted scan failed."""
-        metres, turn = self.travelled + self.config.inlier_m, self.turned + self.config.inlier_m
-        slack = np.zeros((3, 3))
-        slack[0, 0] = slack[1, 1] = metres**2
-        slack[2, 2] = turn**2
+        moved = np.array([max(self.travelled, 0.0), max(self.travelled, 0.0), self.turned])
+        slack: Array = np.diag((moved + self.config.inlier_m) ** 2)
         return slack
 
-    def update(self, estimate: Filter, z: Array, R: Array, ids: Ints, iterate: bool) -> None:
+    def update(self, estimate: Filter, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:
         """Correct a filter by pairs z[i] - ids[i]; loosen it before where these say that odometry has failed."""
         if self.config.explained_share and self._has_failed(estimate, z, R, ids):
             estimate.loosen(self.slack())
@@ -242,7 +235,7 @@ class PoseGuard:
 
     def _has_failed(self, estimate: Filter, z: Array, R: Array, ids: Ints) -> bool:
         """True where failed odometry is likelier than none, by Bayes' rule with the log-odds of a right pose."""
-        return estimate.log_bayes_factor(z, R, ids, self.slack()) > 2.0 * self.sure
+        return estimate.log_bayes_factor(z, R, ids, self.slack()) > 2.0 * self.config.sure
 
     def evidence(self, said: Agreement, match: Match, view: MapView, sharp: bool) -> Evidence:
         """What beams and corners say of the pose, after an association at a prediction that was `sharp` or not."""
@@ -291,12 +284,12 @@ class PoseGuard:
 
     def lose(self, anywhere: bool = False) -> None:
         """The pose is wrong; `anywhere`: nothing is known of it, and no pose is near the prediction."""
-        self.localised, self.log_odds, self.agreed, self.unmapped = False, -self.sure, 0, 0.0
+        self.localised, self.log_odds, self.agreed, self.unmapped = False, -self.config.sure, 0, 0.0
         self.travelled = -math.inf if anywhere else self.travelled
 
     def trust(self) -> None:
         """The pose is right."""
-        self.localised, self.log_odds, self.doubts, self.agreed = True, self.sure, 0, 0
+        self.localised, self.log_odds, self.doubts, self.agreed = True, self.config.sure, 0, 0
         self.astray = 0
         self.travelled = self.turned = 0.0
 
@@ -395,7 +388,7 @@ class PoseGuard:
         """Bayes' rule: each scan adds its log-likelihood ratio."""
         if not math.isnan(share):
             gain = self.config.weight * (share - self.config.explained_share)
-            self.log_odds = min(max(self.log_odds + gain, -self.sure), self.sure)
+            self.log_odds = min(max(self.log_odds + gain, -self.config.sure), self.config.sure)
 
     def _count(self, kept: Hypothesis, won: Hypothesis | None) -> int:
         """Scans that speak for the pose found, after one that says `kept` of it and has `won` as its own."""

@@ -16,6 +16,7 @@ Poses are T_past_now (3,): x, y, heading of the present pose in the frame of the
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -36,10 +37,19 @@ from mecp_env.slam.messages import (
     RoomGraph,
     ScanFeatures,
 )
-from mecp_env.slam.panorama.registration import RegistrationLimits, Surfaces, joined_surfaces, register, surfaces_of
+from mecp_env.slam.panorama.registration import (
+    Registration,
+    RegistrationLimits,
+    Surfaces,
+    joined_surfaces,
+    likelier,
+    register,
+    surfaces_of,
+)
 from mecp_env.slam.panorama.surroundings import Surroundings, are_new, moved_corners, surround
 from mecp_env.slam.protocols import Filter
 
+Update = Callable[[Filter, Array, Array, Ints], None]
 LEVER_M = 10.0  # of a mark from its pose: a range and a bearing are nearly linear at this distance
 RIGID_SIGMA_M = 1e-4 * LEVER_M  # of the marks in the frame of their pose: measurements of them stay invertible
 
@@ -157,27 +167,38 @@ class RecentScans:
         use, few = self.config.use, self.lost or len(scan.corners) < self.least_corners
         return use == "always" or (use != "never" and scan.beams.blind) or (use == "needed" and few)
 
-    def register(self, scan: ScanFeatures, landmark_filter: Filter, lost: bool = False) -> bool:
+    def register(
+        self, scan: ScanFeatures, landmark_filter: Filter, update: Update, slack: Array, lost: bool = False
+    ) -> bool:
         """Update the filter with the motion since the newest scan of the window; True when the surfaces agree.
 
+        By `update(filter, z, R, ids)`. `slack` (3,3): what failed odometry adds to the covariance of the motion.
         `lost`: the pose is searched for.
         """
         self.lost, self.registered, self.linked, self.vouched = lost, None, False, False
         if not (self.scans and self.are_used(scan)):
             return False
-        since, spread = self._poses(self.scans, landmark_filter)
-        poses = [compose(since[-1], inverse(pose)) for pose in since]  # in the frame of the newest
-        window = joined_surfaces([past.surfaces.seen_from(T) for past, T in zip(self.scans, poses, strict=True)])
-        last, prior = self.scans[-1], (since[-1], spread[-1] + self.floor)
-        found = register(window, self._surfaces(scan), last.beams, prior, self.limits)
-        self.linked = found is not None and found.is_possible(prior, self.limits)
-        if found is None or not found.is_sound(prior, self.limits):
+        last, found = self.scans[-1], self._registration(scan, landmark_filter, slack)
+        if found is None:
             return False
         self.linked, cov = True, found.cov(self.limits) + self.floor
-        landmark_filter.update(*marks_seen(found.T_past_now, cov), last.marks)
+        update(landmark_filter, *marks_seen(found.T_past_now, cov), last.marks)
         self.registered = Registered(int(last.marks[0]), found.T_past_now, cov)
         self.vouched = last.doubtful < self.config.scans
         return True
+
+    def _registration(self, scan: ScanFeatures, landmark_filter: Filter, slack: Array) -> Registration | None:
+        """The motion since the newest scan of the window, None where the surfaces do not agree; and `linked`."""
+        since, spread = self._poses(self.scans, landmark_filter)
+        poses = [compose(since[-1], inverse(pose)) for pose in since]  # in the frame of the newest
+        window = joined_surfaces([past.surfaces.seen_from(T) for past, T in zip(self.scans, poses, strict=True)])
+        seen, beams, prior = self._surfaces(scan), self.scans[-1].beams, (since[-1], spread[-1] + self.floor)
+        found = register(window, seen, beams, prior, self.limits)
+        self.linked = found is not None and found.is_possible(prior, self.limits)
+        if found is not None and found.is_clear(prior, self.limits):
+            return found
+        failed = prior[0], prior[1] + slack
+        return likelier(found, register(window, seen, beams, failed, self.limits), prior, failed, self.limits)
 
     def around(
         self, scan: ScanFeatures, graph: RoomGraph, features: FeatureTable, landmark_filter: Filter

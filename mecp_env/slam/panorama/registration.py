@@ -264,6 +264,7 @@ class RegistrationLimits:
     least_share: float  # of the points that agree
     alike_beams: int  # neighbours whose errors are one
     gate: float  # NIS of a registration against its prior
+    sure: float  # log-odds that the prior is right, before a scan says otherwise
 
     @classmethod
     def of(cls, config: SlamConfig) -> RegistrationLimits:
@@ -272,7 +273,8 @@ class RegistrationLimits:
         reach, least = (config.panorama.spacing_m, config.corners.line_m), config.segments.min_beams
         free = config.panorama.spacing_rad, config.corners.detail_m
         gate = float(chdtri(3, 1.0 - config.association.gate_probability))
-        return cls(*reach, *free, facing, 4 * least, config.localisation.explained_share, least, gate)
+        share, sure = config.localisation.explained_share, config.localisation.sure
+        return cls(*reach, *free, facing, 4 * least, share, least, gate, sure)
 
     @property
     def clear_share(self) -> float:
@@ -312,10 +314,13 @@ class Registration:
         """True when it leaves nothing to try: nearly all points agree, and the prior allows for it well."""
         return self.share >= limits.clear_share and self.nis(prior, limits) < 0.5 * limits.gate
 
+    def is_allowed(self, prior: Prior, limits: RegistrationLimits) -> bool:
+        """True when most points agree, and the prior allows for it."""
+        return self.share >= limits.least_share and self.nis(prior, limits) < limits.gate
+
     def is_sound(self, prior: Prior, limits: RegistrationLimits) -> bool:
-        """True when nearly all points agree, and when most do and the prior allows for it."""
-        most_agree = self.share >= limits.least_share
-        return self.share >= limits.clear_share or (most_agree and self.nis(prior, limits) < limits.gate)
+        """True when the prior allows for it, and when nearly all points agree, whatever the prior says."""
+        return self.share >= limits.clear_share or self.is_allowed(prior, limits)
 
     def is_possible(self, prior: Prior, limits: RegistrationLimits) -> bool:
         """True when most points agree where the prior expects it: no sign of another place."""
@@ -353,6 +358,24 @@ def register(
 
 def _sound(found: Registration | None, prior: Prior, limits: RegistrationLimits) -> Registration | None:
     return found if found and found.is_sound(prior, limits) else None
+
+
+def likelier(
+    kept: Registration | None,
+    free: Registration | None,
+    prior: Prior,
+    failed: Prior,
+    limits: RegistrationLimits,
+) -> Registration | None:
+    """A registration that the `prior` allows, or one by which odometry `failed`; None where neither is sound.
+
+    `failed`: the prior with all by which odometry may have been wrong. That it was is `limits.sure` less likely.
+    """
+    kept = kept if kept and kept.is_allowed(prior, limits) else None
+    if free is None or not free.is_clear(failed, limits):
+        return kept
+    least = max(kept.score(prior, limits), 0.0) if kept else 0.0
+    return free if free.score(failed, limits) - limits.sure > least else kept
 
 
 def register_all(

@@ -1,6 +1,7 @@
 """The window in the pipeline: polygons around a robot that does not see behind itself, without a worse pose."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -78,3 +79,17 @@ def test_a_robot_that_is_carried_maps_nothing_at_the_wrong_place(drive, runs):
         assert not pipeline.recent.vouched or output.localised
         assert len(pipeline.map.features) == features
     assert not output.localised
+
+
+@pytest.mark.parametrize("turn", [0.3, -0.2])
+def test_wheels_that_slip_leave_the_pose_known_where_the_walls_tell_it(drive, turn):
+    """The turn is found by the walls; how far it went, where nothing tells, is as unsure as odometry is then."""
+    steps = range(10, len(drive.scans) - 1, 8)
+    runs = [copy.deepcopy(pipeline) for pipeline, *_ in drive.run(half())]
+    for step in steps:
+        right, scan = drive.odometry[step + 1], drive.scans[step + 1]
+        slipped = replace(right, increments=right.increments * [2.0, 1.0] + [0.0, turn / len(right.increments)])
+        output = runs[step].step(slipped, scan)
+        error = output.belief.T_map_robot - drive.T_map_robot[step + 1]
+        assert abs(error[2]) < 0.02
+        assert error @ np.linalg.solve(output.belief.pose_cov, error) < 15.0

@@ -15,6 +15,7 @@ from mecp_env.slam.panorama.registration import (
     align,
     count_against,
     index_of,
+    likelier,
     register,
     surfaces_of,
 )
@@ -71,7 +72,7 @@ def test_a_corridor_leaves_its_length_open():
 def test_another_place_is_refused():
     other = ring((-1.0, -4.0), (1.2, -4.0), (1.2, 5.0), (-1.0, 5.0))
     found = registered(ROOM, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), other=other)
-    assert not found.is_sound((np.zeros(3), PRIOR), LIMITS)
+    assert likelier(found, found, (np.zeros(3), PRIOR), (np.zeros(3), 2.0 * PRIOR), LIMITS) is None
     assert not found.is_possible((np.zeros(3), PRIOR), LIMITS)
 
 
@@ -106,11 +107,28 @@ def test_many_more_points_that_agree_outweigh_the_prior(monkeypatch, paired, exp
     assert register(past, past, beams, (np.zeros(3), PRIOR), replace(LIMITS, turn_rad=1.0)).T_past_now[2] == expected
 
 
-@pytest.mark.parametrize(("agree", "near", "far"), [(98, True, True), (80, True, False), (5, False, False)])
-def test_a_registration_is_sound_when_nearly_all_points_agree_or_most_do_and_the_prior_allows_for_it(agree, near, far):
-    for x, sound in ((0.0, near), (2.0, far)):
-        found = make.registration(0.0, agree, 100 - agree, x)
-        assert found.is_sound((np.zeros(3), PRIOR), LIMITS) == sound
+EXPECTED = make.registration(0.0, 80, 20)  # most points agree where the prior expects it
+SLIPPED = make.registration(0.4, 100)  # all agree where it hardly allows it, and failed odometry does
+
+
+@pytest.mark.parametrize(
+    ("kept", "free", "chosen"),
+    [
+        pytest.param(EXPECTED, None, "kept", id="most agree"),
+        pytest.param(make.registration(0.0, 60, 40), None, None, id="few agree"),
+        pytest.param(make.registration(0.4, 100), None, None, id="the prior does not allow it"),
+        pytest.param(EXPECTED, SLIPPED, "free", id="odometry has failed"),
+        pytest.param(None, SLIPPED, "free", id="nothing where the prior expects it"),
+        pytest.param(make.registration(0.0, 90, 10), SLIPPED, "kept", id="too few more for failed odometry"),
+        pytest.param(None, make.registration(0.4, 35), None, id="too few of all for failed odometry"),
+        pytest.param(None, make.registration(0.4, 60), "free", id="enough of all"),
+        pytest.param(None, make.registration(0.4, 90, 10), None, id="failed odometry explains nearly all"),
+        pytest.param(None, make.registration(0.4, 200, 0, x=2.0), None, id="farther than odometry can fail"),
+    ],
+)
+def test_odometry_has_failed_where_that_explains_so_much_more(kept, free, chosen):
+    prior, failed = (np.zeros(3), np.diag([0.02, 0.02, 0.04]) ** 2), (np.zeros(3), np.diag([0.3, 0.3, 0.3]) ** 2)
+    assert likelier(kept, free, prior, failed, LIMITS) is {"kept": kept, "free": free, None: None}[chosen]
 
 
 def surfaces(rng, count):
