@@ -88,7 +88,7 @@ def check_truth(episode: Any, free: tuple[int, ...]) -> None:
         raise StateError(f"state.episode.metrics: cells {seen} and {visited}, the building has {free}")
 
 
-STATE_FORMAT, STATE_VERSION = "mecp_env/state", 19
+STATE_FORMAT, STATE_VERSION = "mecp_env/state", 20
 RECENT = 0.2  # weight of the last scan in the recent share of recognised corners
 PARTS = ("simulation", "moving", "episode")  # of a state, encoded
 

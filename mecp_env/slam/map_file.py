@@ -176,7 +176,7 @@ def check_filter(filter_: Any, features: int, marks: list[int], where: str) -> N
         raise StateError(f"{where}.state: not finite, or too far away")
 
 
-FILE = FileKind("mecp_env map", 12, __version__)
+FILE = FileKind("mecp_env map", 13, __version__)
 
 MapStart = Literal["saved", "unknown"] | Sequence[float] | Array
 Pipeline = TypeVar("Pipeline")
