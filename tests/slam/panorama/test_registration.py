@@ -72,6 +72,7 @@ def test_a_corridor_leaves_its_length_open():
 def test_another_place_is_refused():
     other = ring((-1.0, -4.0), (1.2, -4.0), (1.2, 5.0), (-1.0, 5.0))
     found = registered(ROOM, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), other=other)
+    assert not found.is_sound((np.zeros(3), PRIOR), LIMITS)
     assert likelier(found, found, (np.zeros(3), PRIOR), (np.zeros(3), 2.0 * PRIOR), LIMITS) is None
     assert not found.is_possible((np.zeros(3), PRIOR), LIMITS)
 
@@ -105,6 +106,13 @@ def test_many_more_points_that_agree_outweigh_the_prior(monkeypatch, paired, exp
 
     monkeypatch.setattr(registration, "_from", from_start)
     assert register(past, past, beams, (np.zeros(3), PRIOR), replace(LIMITS, turn_rad=1.0)).T_past_now[2] == expected
+
+
+@pytest.mark.parametrize(("agree", "near", "far"), [(98, True, True), (80, True, False), (5, False, False)])
+def test_a_registration_is_sound_when_nearly_all_points_agree_or_most_do_and_the_prior_allows_for_it(agree, near, far):
+    for x, sound in ((0.0, near), (2.0, far)):
+        found = make.registration(0.0, agree, 100 - agree, x)
+        assert found.is_sound((np.zeros(3), PRIOR), LIMITS) == sound
 
 
 EXPECTED = make.registration(0.0, 80, 20)  # most points agree where the prior expects it
