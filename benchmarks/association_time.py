@@ -30,9 +30,9 @@ from benchmarks.rough_pose import rough_view as view_at
 from benchmarks.tables import columns_of, summary
 from benchmarks.variants import DEFAULT, Variant, rows_of, with_change
 from mecp_env.core.carriers import Array, Ints
+from mecp_env.lab.rivals import pair_jointly
 from mecp_env.slam.association import MatchBuilder, make_associator
 from mecp_env.slam.association.gating import chi2_gate, pairing_table
-from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan, Polygon

@@ -16,10 +16,10 @@ from benchmarks.records import IN_MEMORY, Records
 from mecp_env.core.carriers import Array, Bools
 from mecp_env.core.se2 import polar_to_points, to_map
 from mecp_env.evaluation.ground_truth import covers
+from mecp_env.lab.dobkin import rings_around
 from mecp_env.slam import SlamConfig, SlamOutput, SlamPipeline
 from mecp_env.slam.config import PolygonConfig
 from mecp_env.slam.mecp import find_polygons
-from mecp_env.slam.mecp.dobkin import rings_around
 from mecp_env.slam.messages import Corners, Polygon
 
 METHODS = variants.rows_of(  # some of the benchmark `association`

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from mecp_env.core.carriers import Array, Bools, Ints
-from mecp_env.slam.association import CcdaAssociator
+from mecp_env.lab.rivals import CcdaAssociator
 from mecp_env.slam.association.cliques import PairGraph
 
 MOST_ASCENTS, MOST_STEPS, MOST_HALVINGS = 100, 200, 40

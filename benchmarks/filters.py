@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.common import Figures, Options, estimate, in_parallel
 from benchmarks.ring import Variance, config_of, linear, make_course, monte_carlo, per_metre, per_step
-from mecp_env.slam.filters import FILTERS
+from mecp_env.slam.config import KINDS
 
 READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
     "per_metre": (per_metre, 0.25),
@@ -22,7 +22,7 @@ READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
 
 def run(options: Options) -> Figures:
     """NEES and error of all filters for every reading of the paper's odometry noise."""
-    cases = [(reading, kind, 8 if options.quick else 60) for reading in READINGS for kind in FILTERS]
+    cases = [(reading, kind, 8 if options.quick else 60) for reading in READINGS for kind in (*KINDS.ours, *KINDS.others)]
     nees: Figures = {reading: {} for reading in READINGS}
     for (reading, kind, _), figures in zip(cases, in_parallel(consistency, Figures, cases, options), strict=True):
         nees[reading][kind] = figures

@@ -29,10 +29,10 @@ from numpy.typing import NDArray
 from benchmarks.common import from_lab
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.se2 import compose, inverse, polar_to_points, to_map
+from mecp_env.lab.rivals import TableAssociator
 from mecp_env.slam.association import MatchBuilder
 from mecp_env.slam.association.cliques import candidate_pairs, jointly_compatible
 from mecp_env.slam.association.gating import one_to_one
-from mecp_env.slam.association.rivals import TableAssociator
 from mecp_env.slam.messages import Belief, Cell, Corners, Decision, MapView, MergedScan, Reason, SemanticGrid
 from mecp_env.slam.protocols import Filter
 

@@ -14,10 +14,11 @@ import mecp_env.env
 import mecp_env.slam.pipeline
 from mecp_env.episode.observations import Observer
 from mecp_env.evaluation.metrics import EpisodeMetrics
+from mecp_env.lab.mecp_paper import MecpPaperAssociator
+from mecp_env.lab.rivals import NearestAssociator
 from mecp_env.planning.navigator import Navigator
 from mecp_env.slam.association.mecp import MecpAssociator
-from mecp_env.slam.association.paper import MecpPaperAssociator
-from mecp_env.slam.association.rivals import NearestAssociator, OracleAssociator
+from mecp_env.slam.association.oracle import OracleAssociator
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.grid import GridPainter
 from mecp_env.slam.pipeline import SlamPipeline

@@ -13,11 +13,11 @@ from benchmarks.kiss import KissAssociator, KissPointsAssociator
 from mecp_env.config import merge
 from mecp_env.core.carriers import Array
 from mecp_env.core.errors import MecpError
+from mecp_env.lab.rivals import pair_jointly
 from mecp_env.slam.association import MecpAssociator, make_associator
 from mecp_env.slam.association.cliques import FirstPass
 from mecp_env.slam.association.gating import MatchBuilder
 from mecp_env.slam.association.mecp import PolygonMatch
-from mecp_env.slam.association.rivals import pair_jointly
 from mecp_env.slam.config import KINDS, METHODS, AssociationConfig, SlamConfig
 from mecp_env.slam.messages import Belief, Corners
 from mecp_env.slam.pipeline import SlamPipeline

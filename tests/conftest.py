@@ -46,9 +46,11 @@ def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     """An empty working directory; what modules in it register is forgotten in the end."""
     from mecp_env.config import REWARDS
     from mecp_env.core import provenance
+    from mecp_env.core.settings import load_parts
     from mecp_env.policies.registry import EXPLORERS
     from mecp_env.slam import association, config, filters, mecp
 
+    load_parts()
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(provenance, "_imported", {})

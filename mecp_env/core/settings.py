@@ -10,6 +10,7 @@ import re
 import reprlib
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, cached_property
+from importlib.metadata import entry_points
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import numpy as np
@@ -241,6 +242,18 @@ class Settings(BaseModel):
             raise ConfigError(f"{cls.__name__}.{error}") from None
 
 
+@cache
+def load_parts() -> None:
+    """Import what installed packages announce in the group of entry points `mecp_env.parts`: modules that register
+    parts of the estimator. Raises `ConfigError` for one that cannot be imported.
+    """
+    for module in entry_points(group="mecp_env.parts"):
+        try:
+            module.load()
+        except (ImportError, AttributeError) as error:
+            raise ConfigError(f"mecp_env.parts: {module.name} = {module.value!r} cannot be loaded ({error})") from None
+
+
 class Names:
     """The names that a field may hold: built-in ones, and those that a function `by` has registered."""
 
@@ -249,6 +262,8 @@ class Names:
 
     def check(self, name: str) -> str:
         """`name` itself. Raises `ValueError` for an unknown one."""
+        if name not in (*self.ours, *self.others):
+            load_parts()
         known = [*self.ours, *self.others]
         if name not in known:
             listed = f"{', '.join(map(repr, known[:-1]))} or {known[-1]!r}"

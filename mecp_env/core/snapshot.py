@@ -21,7 +21,7 @@ from mecp_env.core.settings import Settings
 
 PACKAGE = "mecp_env"
 PACKAGES = tuple(  # whose objects a state holds
-    f"{PACKAGE}.{part}." for part in ("core", "episode", "evaluation", "planning", "slam", "world")
+    f"{PACKAGE}.{part}." for part in ("core", "episode", "evaluation", "lab", "planning", "slam", "world")
 )
 MOST_IN_KEY = 10_000  # values in a key or a member of a set, each counted as often as it is reached
 PLAIN = (type(None), bool, int, float, str)

@@ -6,14 +6,14 @@ The parts of this package are not asked. `mecp_env.evaluation.part_checks` tries
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, MutableMapping
+from collections.abc import Callable, Mapping, MutableMapping
 from typing import Any, Self, TypeVar
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.settings import Names, shown
+from mecp_env.core.settings import Names, load_parts, shown
 from mecp_env.core.snapshot import PACKAGE, admit
 from mecp_env.core.snapshot_check import FAR
 from mecp_env.slam.checks import ROUNDING, MatchError, require_arrays
@@ -37,6 +37,15 @@ def register(names: Names, makers: MutableMapping[str, Make], name: str, make: M
     makers[name] = make
     if isinstance(make, type):
         admit(make)
+
+
+def maker_of(makers: Mapping[str, Make], name: str) -> Make:
+    """What makes the part with a name that a configuration may have. Raises `ConfigError` where nothing does."""
+    if name not in makers:
+        load_parts()
+    if name not in makers:
+        raise ConfigError(f"{name!r}: no installed package has this part; is mecp_env installed (pip install -e .)?")
+    return makers[name]
 
 
 def is_ours(part: object) -> bool:

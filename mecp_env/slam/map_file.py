@@ -31,7 +31,7 @@ from mecp_env.core.snapshot_check import (
     examples_of,
 )
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
-from mecp_env.slam.association.rivals import NoCorrespondences, OracleAssociator
+from mecp_env.slam.association.oracle import NoCorrespondences, OracleAssociator
 from mecp_env.slam.config import SlamConfig
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.filters.mounting import mount

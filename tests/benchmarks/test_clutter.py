@@ -11,8 +11,9 @@ from benchmarks.clutter import ClutteredPipeline, cluttered
 from benchmarks.drives import Drive, replay
 from benchmarks.variants import associating, associators
 from mecp_env.core.se2 import polar_to_points
+from mecp_env.lab.rivals import NearestAssociator
 from mecp_env.slam import config
-from mecp_env.slam.association import NearestAssociator, register_associator
+from mecp_env.slam.association import register_associator
 from mecp_env.slam.frontend import front_end
 from mecp_env.slam.messages import CornerKind, Corners, MergedScan
 

@@ -10,17 +10,18 @@ import pytest
 from mecp_env.core.errors import ConfigError
 from mecp_env.evaluation.part_checks import check_associator, check_filter
 from mecp_env.slam import MatchError
-from mecp_env.slam.association import ASSOCIATORS, make_associator
-from mecp_env.slam.filters import FILTERS, Ekf, FilterError, make_filter
+from mecp_env.slam.association import make_associator
+from mecp_env.slam.config import KINDS, METHODS
+from mecp_env.slam.filters import Ekf, FilterError, make_filter
 from mecp_env.slam.messages import Decision
 
 
-@pytest.mark.parametrize("kind", sorted(FILTERS))
+@pytest.mark.parametrize("kind", sorted(KINDS.ours))
 def test_our_filters_pass(kind: str) -> None:
     check_filter(lambda config: make_filter(config.model_copy(update={"kind": kind})))
 
 
-@pytest.mark.parametrize("method", sorted(set(ASSOCIATORS) - {"known"}))
+@pytest.mark.parametrize("method", sorted(set(METHODS.ours) - {"known"}))
 def test_our_associators_pass(method: str) -> None:
     assert check_associator(lambda config: make_associator(config.model_copy(update={"method": method}))) > 30
 

@@ -15,7 +15,7 @@ from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.ground_truth import true_correspondences
 from mecp_env.slam import MapError, SlamConfig, SlamMap, SlamPipeline
 from mecp_env.slam.association import MecpAssociator
-from mecp_env.slam.association.rivals import NoCorrespondences
+from mecp_env.slam.association.oracle import NoCorrespondences
 from mecp_env.slam.filters import RightInvariantEkf, SubmapEkf, make_filter
 from mecp_env.slam.filters.oracle import OraclePoseFilter
 from mecp_env.slam.map_file import place

@@ -13,6 +13,7 @@ import pytest
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import ConfigError
+from mecp_env.core.settings import load_parts
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
 from mecp_env.slam import MatchError, SlamMap, landmark_map
@@ -218,3 +219,24 @@ def test_what_cannot_be_registered_or_is_not_is_named() -> None:
     known = r"'riekf', 'riekf_submaps', 'ekf' or 'fej'.*mean 'ekf'.*; others are registered by register_filter"
     with pytest.raises(ConfigError, match=rf"filter\.kind: .*{known}"):
         SlamConfig(filter={"kind": "ekff"})
+
+
+ANNOUNCED = """
+from mecp_env.slam.association import MecpAssociator, register_associator
+
+register_associator("announced", type("Announced", (MecpAssociator,), {}))
+"""
+
+
+def test_an_installed_package_announces_its_parts(own_parts: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    package = own_parts / "announced-1.0.dist-info"
+    package.mkdir()
+    (package / "METADATA").write_text("Metadata-Version: 2.1\nName: announced\nVersion: 1.0\n")
+    (package / "entry_points.txt").write_text("[mecp_env.parts]\nannounced = announced_parts\n")
+    monkeypatch.syspath_prepend(own_parts)
+    load_parts.cache_clear()
+    with pytest.raises(ConfigError, match="announced = 'announced_parts' cannot be loaded"):
+        SlamConfig.parse({"association": {"method": "announced"}})
+    (own_parts / "announced_parts.py").write_text(ANNOUNCED)
+    assert type(SlamPipeline({"association": {"method": "announced"}}).associator).__name__ == "Announced"
+    load_parts.cache_clear()

@@ -1,31 +1,18 @@
-"""Data association (III-B): the associators that ship, and the registry for custom ones."""
+"""Data association (III-B): the associator of the estimator, its upper bound, and the registry of all others."""
 
 from collections.abc import Callable
 
 from mecp_env.slam.association.gating import MatchBuilder, ignored
 from mecp_env.slam.association.mecp import JointDescriptorAssociator, MecpAssociator
-from mecp_env.slam.association.paper import MecpPaperAssociator, PostsApart
-from mecp_env.slam.association.rivals import (
-    CcdaAssociator,
-    JcbbAssociator,
-    NearestAssociator,
-    OracleAssociator,
-    nearest_descriptor,
-    nearest_room,
-)
+from mecp_env.slam.association.oracle import OracleAssociator
+from mecp_env.slam.association.posts import PostsApart
 from mecp_env.slam.config import METHODS, AssociationConfig
-from mecp_env.slam.custom import register
+from mecp_env.slam.custom import maker_of, register
 from mecp_env.slam.protocols import Associator
 
 ASSOCIATORS: dict[str, Callable[[AssociationConfig], Associator]] = {
     "mecp": MecpAssociator,
-    "mecp_paper": MecpPaperAssociator,
-    "jcbb": JcbbAssociator,
-    "ccda": CcdaAssociator,
     "joint_descriptor": JointDescriptorAssociator,
-    "nearest": NearestAssociator,
-    "nearest_room": nearest_room,
-    "nearest_descriptor": nearest_descriptor,
     "known": OracleAssociator,
 }
 
@@ -45,20 +32,16 @@ def make_associator(config: AssociationConfig) -> Associator:
 
     Known correspondences include those of posts.
     """
-    associator = ASSOCIATORS[config.method](config)
+    associator = maker_of(ASSOCIATORS, config.method)(config)
     return associator if config.use_posts or associator.certain else PostsApart(associator, config)
 
 
 __all__ = [
     "ASSOCIATORS",
     "Associator",
-    "CcdaAssociator",
-    "JcbbAssociator",
     "JointDescriptorAssociator",
     "MatchBuilder",
     "MecpAssociator",
-    "MecpPaperAssociator",
-    "NearestAssociator",
     "OracleAssociator",
     "PostsApart",
     "ignored",

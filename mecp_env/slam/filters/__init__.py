@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from mecp_env.slam.config import KINDS, FilterConfig
-from mecp_env.slam.custom import register
+from mecp_env.slam.custom import maker_of, register
 from mecp_env.slam.filters.core import Ekf, RightInvariantEkf
-from mecp_env.slam.filters.first_estimates import FirstEstimateEkf
 from mecp_env.slam.filters.submap import SubmapEkf
 from mecp_env.slam.filters.window import Window, WindowFilter
 from mecp_env.slam.protocols import Filter, FilterError
@@ -17,7 +16,6 @@ __all__ = [
     "Ekf",
     "Filter",
     "FilterError",
-    "FirstEstimateEkf",
     "RightInvariantEkf",
     "SubmapEkf",
     "Window",
@@ -30,7 +28,6 @@ FILTERS: dict[str, Callable[[FilterConfig], Filter]] = {
     "riekf": RightInvariantEkf,
     "riekf_submaps": SubmapEkf,
     "ekf": Ekf,
-    "fej": FirstEstimateEkf,
 }
 
 
@@ -46,4 +43,4 @@ def register_filter(name: str, make: Callable[[FilterConfig], Filter]) -> None:
 
 def make_filter(config: FilterConfig) -> Filter:
     """A new filter of the kind config.kind: pose at the origin with the prior's sigmas, no landmarks."""
-    return FILTERS[config.kind](config)
+    return maker_of(FILTERS, config.kind)(config)

@@ -159,17 +159,10 @@ class Canvas:
         Not those right beside a place p_laser (n,2) m of the laser: the robot was there, on its blind side.
         """
         layer = self.layers[cells.POCKET]
-        self._touch(layer)
+        cells.touch(layer, self.dirty)
         layer[:] = 0
         grid = self.publish(occupied_ratio)
         if complete.any():
             stood = np.floor((p_laser - grid.origin) / grid.resolution_m).astype(np.int64)
             layer[:] = find_pockets(grid.label, grid.room, complete, stood)
-        self._touch(layer)
-
-    def _touch(self, layer: NDArray[np.int16]) -> None:
-        """Publish the cells again that are not 0 on a layer (H,W)."""
-        rows, columns = (np.flatnonzero(layer.any(axis=axis)) for axis in (1, 0))
-        if len(rows):
-            self.dirty[::2] = np.minimum(self.dirty[::2], (rows[0], columns[0]))
-            self.dirty[1::2] = np.maximum(self.dirty[1::2], (rows[-1] + 1, columns[-1] + 1))
+        cells.touch(layer, self.dirty)

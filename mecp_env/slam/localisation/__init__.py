@@ -223,8 +223,10 @@ class PoseGuard:
 
     def slack(self) -> Array:
         """(3,3) covariance by which a predicted pose is wrong if odometry since the last trusted scan failed."""
-        moved = np.array([max(self.travelled, 0.0), max(self.travelled, 0.0), self.turned])
-        slack: Array = np.diag((moved + self.config.inlier_m) ** 2)
+        metres, turn = max(self.travelled, 0.0) + self.config.inlier_m, self.turned + self.config.inlier_m
+        slack = np.zeros((3, 3))
+        slack[0, 0] = slack[1, 1] = metres * metres
+        slack[2, 2] = turn * turn
         return slack
 
     def update(self, estimate: Filter, z: Array, R: Array, ids: Ints, iterate: bool = False) -> None:

@@ -6,8 +6,7 @@ from collections.abc import Callable
 
 from mecp_env.core.carriers import Bools
 from mecp_env.slam.config import STRUCTURE_NAMES, PolygonConfig
-from mecp_env.slam.custom import check_polygons, register
-from mecp_env.slam.mecp.dobkin import find_dobkin
+from mecp_env.slam.custom import check_polygons, maker_of, register
 from mecp_env.slam.mecp.polygons import find_largest, find_polygons
 from mecp_env.slam.messages import Corners, MergedScan, Polygon
 
@@ -16,7 +15,6 @@ Structure = Callable[[Corners, MergedScan, PolygonConfig, Bools | None], tuple[P
 STRUCTURES: dict[str, Structure] = {
     "mecp": find_polygons,
     "largest_area": find_largest,
-    "dobkin": find_dobkin,
 }
 
 
@@ -38,7 +36,7 @@ def find_structure(
 
     Raises `ConfigError` for a custom one that gives anything else.
     """
-    found = STRUCTURES[config.structure](corners, beams, config, wall)
+    found = maker_of(STRUCTURES, config.structure)(corners, beams, config, wall)
     if not config.is_ours:
         check_polygons(config.structure, found, len(corners))
     return found
@@ -47,7 +45,6 @@ def find_structure(
 __all__ = [
     "STRUCTURES",
     "Structure",
-    "find_dobkin",
     "find_largest",
     "find_polygons",
     "find_structure",

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from mecp_env.slam.association import PostsApart
 from mecp_env.slam.association.gating import MatchBuilder
-from mecp_env.slam.association.paper import PostsApart
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import UNKNOWN_ROOM, CornerKind, Decision, FeatureState, Reason

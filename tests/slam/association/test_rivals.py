@@ -6,6 +6,7 @@ import math
 import numpy as np
 import pytest
 
+from mecp_env.lab.rivals import add_pair, branch_and_bound, predicted_measurements, sorted_choices
 from mecp_env.slam.association import make_associator
 from mecp_env.slam.association.cliques import (
     ANY_HEADING,
@@ -16,7 +17,6 @@ from mecp_env.slam.association.cliques import (
     relations,
 )
 from mecp_env.slam.association.gating import chi2_gate
-from mecp_env.slam.association.rivals import add_pair, branch_and_bound, predicted_measurements, sorted_choices
 from mecp_env.slam.config import AssociationConfig, FilterConfig, SlamConfig
 from mecp_env.slam.filters import make_filter
 from mecp_env.slam.messages import UNKNOWN_ROOM, Decision, FeatureState, Reason

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from mecp_env.slam.mecp.dobkin import rings_around
+from mecp_env.lab.dobkin import rings_around
 from tests.slam.mecp.plain import convex_rings, is_empty_around, twice_area
 
 ROBOT = np.zeros(2)
