@@ -22,7 +22,8 @@ READINGS: dict[str, tuple[Variance, float]] = {  # noise and length of a step, m
 
 def run(options: Options) -> Figures:
     """NEES and error of all filters for every reading of the paper's odometry noise."""
-    cases = [(reading, kind, 8 if options.quick else 60) for reading in READINGS for kind in (*KINDS.ours, *KINDS.others)]
+    kinds = *KINDS.ours, *KINDS.others
+    cases = [(reading, kind, 8 if options.quick else 60) for reading in READINGS for kind in kinds]
     nees: Figures = {reading: {} for reading in READINGS}
     for (reading, kind, _), figures in zip(cases, in_parallel(consistency, Figures, cases, options), strict=True):
         nees[reading][kind] = figures

@@ -94,7 +94,7 @@ def test_the_estimator_runs_alone_as_documented(
 @pytest.mark.parametrize("section", PAPER_SECTIONS, ids=lambda text: text.partition("\n")[0])
 def test_functions_tests_and_switches_that_a_statement_of_the_paper_names_exist(section: str) -> None:
     said, code, tests = re.split(r"\n*Code: |\s+Tests?: ", section.partition("\n## ")[0])
-    functions = re.findall(r"`((?:slam|world|planning|render)\.[\w.]+)`", code)
+    functions = re.findall(r"`((?:slam|lab|world|planning|render)\.[\w.]+)`", code)
     named = re.findall(r"`(tests/[\w./]+)(?:::(\w+))?`", tests)
     assert functions
     assert named

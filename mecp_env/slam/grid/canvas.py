@@ -159,10 +159,10 @@ class Canvas:
         Not those right beside a place p_laser (n,2) m of the laser: the robot was there, on its blind side.
         """
         layer = self.layers[cells.POCKET]
-        cells.touch(layer, self.dirty)
         layer[:] = 0
+        self.everything_dirty()
         grid = self.publish(occupied_ratio)
         if complete.any():
             stood = np.floor((p_laser - grid.origin) / grid.resolution_m).astype(np.int64)
             layer[:] = find_pockets(grid.label, grid.room, complete, stood)
-        cells.touch(layer, self.dirty)
+        self.everything_dirty()

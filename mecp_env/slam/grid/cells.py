@@ -206,18 +206,6 @@ def compose(layers: Layer, occupied_ratio: float, label: Bytes, polygon: Bools, 
 
 
 @compiled
-def touch(layer: Layer, dirty: Ints) -> None:
-    """Extend the window `dirty` by the cells that are not 0 on a layer (H,W)."""
-    for row in range(layer.shape[0]):
-        values, left, right = layer[row], layer.shape[1], 0
-        for i in range(values.shape[0]):
-            left, right = (min(left, i), i + 1) if values[i] else (left, right)
-        if right:
-            dirty[0], dirty[1] = min(dirty[0], row), max(dirty[1], row + 1)
-            dirty[2], dirty[3] = min(dirty[2], left), max(dirty[3], right)
-
-
-@compiled
 def split_outline(outline: Array, eye: Array, door: Array) -> tuple[Array, Array]:
     """Free space (m,2) seen from `eye` (2,), in the order of bearing, as cut by a door (2,2): before it and behind it.
 
