@@ -18,7 +18,7 @@ import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.core.jit import compiled
-from mecp_env.core.linalg import block_of, factor_lower, quadratic, solve_lower
+from mecp_env.core.linalg import block_of, factor_lower, forward_rows, quadratic, solve_lower
 from mecp_env.core.se2 import polar_to_points, wrap_angle
 from mecp_env.slam.filters.models import (
     change_chart,
@@ -97,31 +97,40 @@ def joint_cost(state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, inva
 def log_bayes_factor(
     state: Array, slot_ids: Ints, ids: Ints, z: Array, R: Array, invariant: bool, noise: Array
 ) -> float:
-    """Twice the log of p(z | pose noise is larger by `noise`) / p(z | as it is); nan: S not positive, or unknown id.
+    """Twice the log of p(z | pose noise is larger by `noise`) / p(z | as it is); nan: not positive, or an unknown id.
 
-    `noise` (3,3) of x, y, heading. S of the larger noise is S + D noise D^T, D the derivative of z by the pose.
+    `noise` (3,3) of x, y, heading, positive. S of the larger noise is S + E E^T, E = D C with the derivative D of z by
+    the pose and noise = C C^T: of z, whitened by S, only the three components along the columns of E tell.
     """
     m = ids.shape[0]
     slots, h, A, a_heading = np.empty(m, np.int64), np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
     if not find_rows(slot_ids, ids, slots):
         return math.nan
     part, own = take(state, slots), np.arange(m)
-    size, nu, S, D = part.shape[1], np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((2 * m, 3))
+    size, nu, S, E = part.shape[1], np.empty(2 * m), np.empty((2 * m, 2 * m)), np.empty((2 * m, 3))
     linearise(part[0], own, invariant, h, A, a_heading)
     residual(z, h, A, a_heading, own, np.zeros(size), nu)
     innovation_cov(project(part[1:], size, A, a_heading, own), A, a_heading, own, R, S)
+    C, M, g, factor = noise.copy(), np.eye(3), np.zeros(3), 0.0
+    if not (factor_lower(S) and factor_lower(C)):
+        return math.nan
     for k in range(m):
         for r in range(2):
-            D[2 * k + r, 0], D[2 * k + r, 1], D[2 * k + r, 2] = -A[k, r, 0], -A[k, r, 1], -1.0 * r
-    wider = S.copy()
-    for i in range(2 * m):
-        for j in range(i + 1):
-            wider[i, j] += quadratic(noise, D[i], D[j])
-    if not (factor_lower(S) and factor_lower(wider)):
-        return math.nan
-    y, y_wider, factor = solve_lower(S, nu), solve_lower(wider, nu), 0.0
-    for i in range(2 * m):
-        factor += y[i] * y[i] - y_wider[i] * y_wider[i] - 2.0 * math.log(wider[i, i] / S[i, i])
+            x, y, heading = -A[k, r, 0], -A[k, r, 1], -1.0 * r
+            E[2 * k + r, 0] = x * C[0, 0] + y * C[1, 0] + heading * C[2, 0]
+            E[2 * k + r, 1] = y * C[1, 1] + heading * C[2, 1]
+            E[2 * k + r, 2] = heading * C[2, 2]
+    forward_rows(S, E)
+    white = solve_lower(S, nu)
+    for a in range(3):
+        for i in range(2 * m):
+            g[a] += E[i, a] * white[i]
+            for b in range(a + 1):
+                M[a, b] += E[i, a] * E[i, b]
+    factor_lower(M)
+    gain = solve_lower(M, g)
+    for a in range(3):
+        factor += gain[a] * gain[a] - 2.0 * math.log(M[a, a])
     return factor
 
 
