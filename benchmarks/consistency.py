@@ -2,11 +2,12 @@
 
 Corners of each scan are those that the front end finds, with their joint covariance, and their true identities; one
 that is off by more than 99.9 % of its covariance is left out. All filters, and `batch`, get the same motions and
-measurements: prediction, update, new landmarks, and nothing else. Updates are iterated where the estimator does, in
-`riekf, all iterated` always. The drives were recorded with the true pose as the driver, one set for each model of the
-odometry: the paper's sigmas `per_metre`, `per_step` and `linear`, and `skid_steer`, with wheels that slip in 1 % of the
-steps, of which the covariance knows nothing. There an update asks first, as in the estimator, whether odometry has
-failed; `batch` knows the steps. Submaps have at most 10 landmarks, so that the map is divided.
+measurements: prediction, update, new landmarks, and nothing else. Updates are iterated where the estimator does, else
+what one linearisation neglects is noise; in `riekf, all iterated` they always are. The drives were recorded with the
+true pose as the driver, one set for each model of the odometry: the paper's sigmas `per_metre`, `per_step` and
+`linear`, and `skid_steer`, with wheels that slip in 1 % of the steps, of which the covariance knows nothing. There an
+update asks first, as in the estimator, whether odometry has failed; `batch` knows the steps. Submaps have at most 10
+landmarks, so that the map is divided.
 
 `nees` is that of the pose (3 expected), the mean over a drive; `landmark_nees` that of the landmarks at the end (2
 expected). `landmark_rms_m` is the distance of the landmarks from the true corners at the end; `over_batch` is the sum
@@ -37,7 +38,7 @@ from mecp_env.core.sensors import Odometry
 from mecp_env.slam.config import KINDS, LocalisationConfig, SlamConfig
 from mecp_env.slam.filters import Filter, make_filter
 from mecp_env.slam.localisation import PoseGuard
-from mecp_env.slam.messages import Belief
+from mecp_env.slam.messages import Belief, inflate
 
 LAYOUT = "paper"
 MODELS: dict[str, dict[str, Any]] = {  # fields of the odometry
@@ -92,7 +93,9 @@ def rows() -> dict[str, str]:
 
 
 class Correction:
-    """An update as the estimator does it: iterated where the prediction is wide, and, with slip, odometry doubted."""
+    """An update as the estimator does it: iterated where the prediction is wide, else with what one linearisation
+    neglects as noise; and, with slip, odometry doubted.
+    """
 
     def __init__(self, slam: SlamConfig, slips: bool, always: bool = False) -> None:
         self.sharp, self.always = slam.association.is_sharp, always
@@ -103,7 +106,13 @@ class Correction:
         """Update a filter by known landmarks; without any, what was driven counts at the next update."""
         if odometry is not None:
             self.guard.follow(odometry)
-        self.guard.update(found, *sighting, self.always or not self.sharp(found.belief()))
+        (z, R, ids), belief = sighting, found.belief()
+        iterate = self.always or not self.sharp(belief)
+        if not iterate:
+            x, y, heading = belief.pose_cov.diagonal().tolist()
+            R = np.empty_like(R)
+            inflate(sighting.R, z, 0.5 * (x + y), heading, R)
+        self.guard.update(found, z, R, ids, iterate)
         self.guard.travelled = self.guard.turned = 0.0
 
 
