@@ -13,7 +13,7 @@ from pydantic import AfterValidator, BeforeValidator, Field, model_validator
 
 from mecp_env.core.errors import ConfigError, KeywordError
 from mecp_env.core.sensors import LaserNoise
-from mecp_env.core.settings import Names, PresetSettings, Settings, guess, number
+from mecp_env.core.settings import Names, PresetSettings, Settings, guess, load_parts, number
 from mecp_env.planning.config import PlanningConfig
 from mecp_env.slam.config import SlamConfig
 from mecp_env.world.config import ClutterConfig, CrowdConfig, LaserConfig, OdometryConfig, RobotConfig
@@ -46,6 +46,8 @@ def registered(name: str) -> str:
     """`name` if it is that of a registered reward. Raises `ValueError` otherwise."""
     if name in REWARDS.ours:
         raise ValueError(f"{name}: one of ours, which has a field of its own: reward={{{name!r}: weight}}")
+    if name not in REWARDS.others:
+        load_parts()
     if name not in REWARDS.others:
         known = ", ".join(REWARDS.others) or "none yet"
         raise ValueError(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, ClassVar
@@ -194,9 +195,10 @@ class MecpEnv(gymnasium.Env[Observation, Any]):
         """
         command = self._actions.command(action)
         episode = self._running()
-        motion = self._true_world.drive(command)
-        pose = self._true_world.T_world_robot
-        episode.slam_output = self._estimate(episode, motion, pose)
+        with nullcontext() if episode.pipeline.is_ours else self._true_world.undone_on_error(self.np_random):
+            motion = self._true_world.drive(command)
+            pose = self._true_world.T_world_robot
+            episode.slam_output = self._estimate(episode, motion, pose)
         self._find_goals(episode)
         self._compare(episode, motion, pose)
         terminated, truncated = self._ends(episode)

@@ -47,6 +47,7 @@ def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     from mecp_env.config import REWARDS
     from mecp_env.core import provenance
     from mecp_env.core.settings import load_parts
+    from mecp_env.episode import buildings
     from mecp_env.policies.registry import EXPLORERS
     from mecp_env.slam import association, config, filters, mecp
 
@@ -54,9 +55,9 @@ def own_parts(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(sys, "path", [*sys.path])
     monkeypatch.setattr(provenance, "_imported", {})
-    for names in (config.METHODS, config.KINDS, config.STRUCTURE_NAMES, REWARDS):
+    for names in (config.METHODS, config.KINDS, config.STRUCTURE_NAMES, REWARDS, buildings.NAMES):
         monkeypatch.setattr(names, "others", [*names.others])
-    makers = association.ASSOCIATORS, filters.FILTERS, mecp.STRUCTURES, EXPLORERS
+    makers = association.ASSOCIATORS, filters.FILTERS, mecp.STRUCTURES, EXPLORERS, buildings.SOURCES
     before = [set(table) for table in makers]
     yield tmp_path
     for table, known in zip(makers, before, strict=True):

@@ -14,7 +14,7 @@ import tempfile
 import textwrap
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, redirect_stdout
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from functools import cached_property
 from pathlib import Path
 from typing import Annotated, Any, ClassVar, Self, TypeVar
@@ -211,11 +211,13 @@ class UnbreakableStream:
 @contextmanager
 def unbreakable_output() -> Iterator[None]:
     """Within it a command goes on, and keeps its files, when the reader of its output is gone (`demo | head -1`)."""
-    with redirect_stdout(UnbreakableStream(sys.stdout)) as stream:
+    out, said = UnbreakableStream(sys.stdout), UnbreakableStream(sys.stderr)
+    with redirect_stdout(out), redirect_stderr(said):
         try:
             yield
         finally:
-            stream.flush()
+            out.flush()
+            said.flush()
 
 
 FAILED, WRONG_INPUT = 1, 2  # beside 0 and INTERRUPTED
@@ -250,6 +252,11 @@ def at_end(code: int) -> int:
     """The exit code of the process of a command that ended with `code`; 130 where an interrupt was lost on its way."""
     leave()
     return code or (INTERRUPTED if was_interrupted() else 0)
+
+
+def as_note(text: str) -> str:
+    """A line that says something of a log; a warning is one already."""
+    return text if text.startswith("warning: ") else f"note: {text}"
 
 
 def echo(*lines: object) -> None:

@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.progress import BarColumn, TimeElapsedColumn
 from rich.table import Table
 
-from mecp_env.cli.base import echo
+from mecp_env.cli.base import as_note, echo
 from mecp_env.core.carriers import Array, Bytes
 from mecp_env.core.files import naming, sanitised, write_atomic
 from mecp_env.core.se2 import between, compose, composed, inverse
@@ -89,7 +89,7 @@ def print_figures(title: str, metrics: Mapping[str, Any], folder: Path) -> None:
     Console().print(table)
     counts = [f"counted: {count} {what}" for what, count in metrics.get("counts", {}).items()]
     there = [name for name in dict.fromkeys((*FILES, *LOG_FILES)) if (folder / name).exists()]
-    notes = [f"note: {note}" for note in metrics.get("notes", ())]
+    notes = list(map(as_note, metrics.get("notes", ())))
     for said in (*counts, *notes, f"{', '.join(there)} in {folder}/"):
         Console().print(sanitised(said), markup=False)
 

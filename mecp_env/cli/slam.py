@@ -12,7 +12,18 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal, cast
 import tyro
 from pydantic import Field
 
-from mecp_env.cli.base import FAILED, INTERRUPTED, Command, Line, Seed, check_folder, check_writable, echo, print_error
+from mecp_env.cli.base import (
+    FAILED,
+    INTERRUPTED,
+    Command,
+    Line,
+    Seed,
+    as_note,
+    check_folder,
+    check_writable,
+    echo,
+    print_error,
+)
 from mecp_env.cli.options import KeepsMap, named_fields, spare_sources
 from mecp_env.core.errors import ConfigError
 from mecp_env.slam.config import SlamConfig
@@ -145,7 +156,7 @@ class Slam(KeepsMap):
         given = {name: value for name, value in vars(self).items() if name in ReadOptions.model_fields}
         given |= {"scan_topic": self.scan_topic or None, "use_odometry": self.odometry != "none"}
         log = read_log(self.log, ReadOptions(**given))
-        echo(*(f"note: {note}" for note in log.notes))
+        echo(*map(as_note, log.notes))
         fault = laser_fault(log, self.noise.distance_scale) if self.odometry == "log" else None
         said = () if fault is None else (f"warning: {fault}",)
         echo(*said)
@@ -223,7 +234,7 @@ def print_calibration(calibration: Calibration | None) -> None:
     if calibration.range_noise_m is not None:
         table.add_row("range noise on straight walls, m", f"{calibration.range_noise_m:.4f}", "", "measured")
     Console().print(table)
-    echo(*(f"note: {note}" for note in calibration.notes))
+    echo(*map(as_note, calibration.notes))
 
 
 @dataclass(frozen=True)

@@ -8,9 +8,10 @@ from __future__ import annotations
 import difflib
 import re
 import reprlib
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from functools import cache, cached_property
-from importlib.metadata import entry_points
+from importlib.metadata import distributions
 from typing import Annotated, Any, ClassVar, Literal, Self, get_args, get_origin
 
 import numpy as np
@@ -27,6 +28,7 @@ from pydantic import (
 from mecp_env.core.carriers import Rows, row_type
 from mecp_env.core.errors import ConfigError
 
+PARTS = "mecp_env.parts"  # the group of entry points
 MOST_FIELDS = 200  # of a part of an untrusted document
 MOST_TOLD = 8  # wrong fields that one message tells of
 NUMBERS = {int, float, type(None), tuple, ...}  # the kinds of fields that are numbers and ranges of them
@@ -242,16 +244,24 @@ class Settings(BaseModel):
             raise ConfigError(f"{cls.__name__}.{error}") from None
 
 
+class PartsWarning(UserWarning):
+    """What an installed package announces cannot be imported."""
+
+
 @cache
 def load_parts() -> None:
     """Import what installed packages announce in the group of entry points `mecp_env.parts`: modules that register
-    parts of the estimator. Raises `ConfigError` for one that cannot be imported.
+    names. One that cannot be imported is reported by a `PartsWarning`, and left out.
     """
-    for module in entry_points(group="mecp_env.parts"):
+    for package in distributions():
         try:
-            module.load()
-        except (ImportError, AttributeError) as error:
-            raise ConfigError(f"mecp_env.parts: {module.name} = {module.value!r} cannot be loaded ({error})") from None
+            for module in package.entry_points.select(group=PARTS):
+                module.load()
+        except (Exception, SystemExit) as error:  # code of others may raise anything
+            reason = f"{type(error).__name__}: {error}"
+            warnings.warn(
+                f"{package.metadata['Name']}: its {PARTS} are left out ({reason})", PartsWarning, stacklevel=2
+            )
 
 
 class Names:

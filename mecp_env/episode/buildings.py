@@ -14,7 +14,7 @@ import numpy as np
 from mecp_env.core.errors import ConfigError, LayoutError
 from mecp_env.core.files import is_folder
 from mecp_env.core.processes import Failure
-from mecp_env.core.settings import Names, guess, shown
+from mecp_env.core.settings import Names, guess, load_parts, shown
 from mecp_env.floorplans import PlanOptions, load_plan, plan_files
 from mecp_env.world.config import DIFFICULTIES, SPLITS, GeneratorSpec, split_seed
 from mecp_env.world.generator import generate
@@ -116,7 +116,7 @@ def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     options of `load_plan`; a name of `register_buildings` those. Raises `ConfigError` or `LayoutError`.
     """
     fields: Any = given if isinstance(given, Mapping) else {}
-    key = next((key for key in SOURCES if key in fields), None)
+    key = source_in(fields)
     if key is None:
         check_registered(fields)
         layout = load_layout(dict(fields) if isinstance(given, Mapping) else given)
@@ -124,6 +124,13 @@ def make_source(given: str | Mapping[str, Any] | Layout) -> Source:
     if set(fields) != {key} or not isinstance(fields[key], Mapping):
         raise ConfigError(f"layout: {{{key!r}: {{...}}}} stands alone, given {sorted(map(str, fields))}")
     return SOURCES[key](**fields[key])
+
+
+def source_in(fields: Mapping[Any, Any]) -> str | None:
+    """The name of the source in `{name: {...}}`, which an installed package may announce; None without one."""
+    if len(fields) == 1 and not fields.keys() & {*SOURCES, *Layout.model_fields}:
+        load_parts()
+    return next((key for key in SOURCES if key in fields), None)
 
 
 def check_registered(fields: Mapping[Any, Any]) -> None:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from typing import Any
 
@@ -84,6 +87,17 @@ class TrueWorld:
                 check_truth(episode, self.truth.free.shape)
         except MecpError:
             self._continue(*before)
+            raise
+
+    @contextmanager
+    def undone_on_error(self, rng: np.random.Generator) -> Iterator[None]:
+        """Within it a step is made; where an error ends it, this world and its random numbers are as before."""
+        before, body, bits = copy.deepcopy(self.movers.state), self.simulation.get_state(), rng.bit_generator.state
+        try:
+            yield
+        except BaseException:
+            self._continue(self.building, before, body)
+            rng.bit_generator.state = bits
             raise
 
     def _continue(self, building: int, moving: Moving, body: dict[str, Array]) -> None:

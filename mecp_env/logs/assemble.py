@@ -23,11 +23,11 @@ from mecp_env.logs.recording import ReadOptions, Recording, Track
 from mecp_env.logs.registration import bridged, with_ends
 
 GAP = 5.0  # medians between two scans
-FIXED_M, FIXED_RAD = 0.02, 0.02  # by which the pose of a laser that is fixed on the robot varies at most
-FEW_SHARE = 0.5  # of the scans have odometry, at least; else the clocks may differ
+FIXED_M, FIXED_RAD = 0.02, 0.02  # by which a pose varies at most that is taken as fixed
+FEW_SHARE = 0.5  # of the scans have odometry, at least; else the clocks may differ; and differ from the one before
 BLIND_SHARE = 0.8  # of the readings measure nothing: more may have a wrong limit
 REACH_M = 2.0  # no laser is mounted farther from the robot's centre
-CENTRED = "the laser is taken as centred on the robot: the file has no mounting pose (--config.sensor.x-m gives one)"
+CENTRED = "the file has no mounting pose of the laser: it is calibrated, or else taken as centred (--config.sensor.x-m)"
 WAY_OUT = "--clock received takes the order of the file in place of the stamps (in a bag, the times of receipt)"
 
 
@@ -42,6 +42,8 @@ def assemble(recording: Recording, options: ReadOptions) -> Log:
     odometry = _odometry(recording) if options.use_odometry else Track()
     T_odom, T_ref = poses_at(t, odometry, "odometry", counts), poses_at(t, reference, "reference pose", counts)
     kept = np.ones(len(t), bool) if T_odom is None else _with_odometry(recording, t, odometry, T_odom)
+    if T_odom is not None:
+        kept = kept & ~_hanging(recording, readings.ranges, T_odom)
     _note_blind(recording, readings)
     counts["gaps in time"] += _gaps(t[kept])
     log = Log(
@@ -114,6 +116,26 @@ def _with_odometry(recording: Recording, t: Array, odometry: Track, T_odom: Arra
         raise LogError(f"no scan with odometry: {spans} ({recording.counted()})")
     recording.notes.append(spans)
     return with_ends(t, T_odom, kept)
+
+
+def _hanging(recording: Recording, ranges: Array, T_odom: Array) -> Bools:
+    """(n,) the scans to leave out because the laser hung; where it did most of the time, a warning and none."""
+    hanging = repeated(ranges, T_odom)
+    count = int(hanging.sum())
+    if count > FEW_SHARE * len(hanging):
+        recording.notes.append(f"warning: {count} of {len(hanging)} scans equal the one before, though the robot moved")
+        return np.zeros_like(hanging)
+    recording.counts["scans that repeat the one before, though the robot moved, left out"] += count
+    return hanging
+
+
+def repeated(ranges: Array, T_odom: Array) -> Bools:
+    """(n,) true for scans (n,B), two or more, that equal the one before, though the robot has moved: the laser hangs."""
+    same = np.append(False, ((ranges[1:] == ranges[:-1]) | np.isnan(ranges[1:] + ranges[:-1])).all(axis=1))
+    first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
+    x, y, heading = np.abs(between(T_odom[first], T_odom)).T
+    moved: Bools = (np.hypot(x, y) > FIXED_M) | (heading > FIXED_RAD)
+    return same & moved & (np.bincount(first)[first] > 2)
 
 
 def _note_blind(recording: Recording, readings: Readings) -> None:

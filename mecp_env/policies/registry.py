@@ -22,7 +22,7 @@ from mecp_env.core.errors import ActionError, ConfigError, MecpError
 from mecp_env.core.files import exists, is_folder, read_json
 from mecp_env.core.processes import Failure
 from mecp_env.core.provenance import checksum
-from mecp_env.core.settings import as_many, guess, shown
+from mecp_env.core.settings import as_many, guess, load_parts, shown
 
 Mask = Bools | None
 
@@ -149,6 +149,8 @@ def source_of(name: str) -> str:
     """
     if found := FILE_PATH.fullmatch(name):
         return f"{os.path.relpath(found[1]).replace(os.sep, '.')}:{found[2]}"
+    if name.isidentifier() and name not in (*EXPLORERS, *LEARNED):
+        load_parts()
     return name if name in OURS else EXPLORERS.get(name, name)
 
 

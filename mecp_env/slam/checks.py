@@ -18,7 +18,7 @@ from mecp_env.core.jit import compiled
 from mecp_env.core.sensors import MOST_RANGE_M, Odometry, Scan
 from mecp_env.core.settings import shown
 from mecp_env.core.snapshot_check import FAR
-from mecp_env.slam.messages import Decision, Match
+from mecp_env.slam.messages import NO_ID, Decision, Match
 
 FLOATS = np.dtype(np.float64)
 KINDS = {"ranges": FLOATS, "bearings": FLOATS, "hit": np.dtype(np.bool_)}
@@ -154,7 +154,8 @@ def look_over(increments: Array, cov: Array) -> tuple[bool, float, float, bool]:
 def check_match(match: Match, corners: int, features: int) -> Match:
     """`match` itself. Raises `MatchError` unless it has a sound decision for each of so many corners.
 
-    A corner that is LANDMARK or PROVISIONAL has an id below `features`, the number of ids that were given out.
+    A corner that is LANDMARK or PROVISIONAL has an id below `features`, the number of ids that were given out; the
+    others have none.
     """
     if not isinstance(match, Match):
         raise MatchError(f"match: {type(match).__name__}, a Match expected")
@@ -166,6 +167,10 @@ def check_match(match: Match, corners: int, features: int) -> Match:
             )
         if decision in WITH_ID and not 0 <= id_ < features:
             raise MatchError(f"match.ids[{corner}]: {id_}, one of the {features} ids given out expected, from 0")
+        if decision not in WITH_ID and id_ != NO_ID:
+            raise MatchError(
+                f"match.ids[{corner}]: {id_}, {NO_ID} expected of a corner that is {Decision(decision).name}"
+            )
     return match
 
 

@@ -6,7 +6,9 @@ The parts of this package are not asked. `mecp_env.evaluation.part_checks` tries
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Mapping, MutableMapping
+from collections.abc import Callable, Iterator, Mapping, MutableMapping
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, replace
 from typing import Any, Self, TypeVar
 
 import numpy as np
@@ -17,8 +19,8 @@ from mecp_env.core.settings import Names, load_parts, shown
 from mecp_env.core.snapshot import PACKAGE, admit
 from mecp_env.core.snapshot_check import FAR
 from mecp_env.slam.checks import ROUNDING, MatchError, require_arrays
-from mecp_env.slam.messages import Belief, Decision, FeatureState, FeatureTable, Match, Polygon, Reason
-from mecp_env.slam.protocols import FilterError
+from mecp_env.slam.messages import Belief, Decision, EdgeLabel, FeatureState, FeatureTable, Match, Polygon, Reason
+from mecp_env.slam.protocols import AnswerError, Filter, FilterError
 
 FLOATS, IDS = np.dtype(np.float64), np.dtype(np.int64)
 REASONS = np.array(list(map(int, Reason)))
@@ -61,6 +63,81 @@ def check_part(part: object, what: str, base: type) -> None:
     lacking = [name for name in vars(base) if not name.startswith("_") and not hasattr(part, name)]
     if lacking:
         raise ConfigError(f"{what}: {type(part).__name__} has no {', '.join(lacking)}; derive from {where}")
+
+
+@contextmanager
+def unchanged(part: object, **given: Any) -> Iterator[None]:
+    """Within it a custom part is asked. Raises `MatchError` where it wrote to the arrays of what it was `given`."""
+    arrays = [(f"{name}.{column}", array) for name, one in given.items() for column, array in arrays_of(one)]
+    before = [array.copy() for _, array in arrays]
+    yield
+    for (name, array), kept in zip(arrays, before, strict=True):
+        if array.tobytes() != kept.tobytes():
+            array[...] = kept
+            raise MatchError(f"{type(part).__name__}: it wrote to {name}, which it was given")
+
+
+def arrays_of(carrier: object) -> Iterator[tuple[str, Any]]:
+    """The arrays of a message that can be written to, by name."""
+    for field in fields(carrier):  # type: ignore[arg-type]  # a dataclass
+        array = getattr(carrier, field.name)
+        if isinstance(array, np.ndarray) and array.flags.writeable:
+            yield field.name, array
+
+
+@dataclass(slots=True, eq=False)
+class CheckedFilter:
+    """A custom filter that is asked: `AnswerError` for a test whose answer no compiled function could take."""
+
+    inner: Filter
+
+    def individual_nis(self, z: Array, R: Array, ids: Ints) -> Array:
+        (nis,) = self._arrays("individual_nis", (z, R, ids), (len(z), len(ids)))
+        return nis
+
+    def innovation(self, z: Array, R: Array, ids: Ints) -> tuple[Array, Array]:
+        n = 2 * len(z)
+        nu, S = self._arrays("innovation", (z, R, ids), (n,), (n, n))
+        return nu, S
+
+    def marginal(self, ids: Ints) -> tuple[Array, Array]:
+        n = 3 + 2 * len(ids)
+        mean, cov = self._arrays("marginal", (ids,), (n,), (n, n))
+        return mean, cov
+
+    def joint_nis(self, *given: Any, **options: Any) -> float:
+        return self._number("joint_nis", *given, **options)
+
+    def mean_of_gaussians_nis(self, *given: Any, **options: Any) -> float:
+        return self._number("mean_of_gaussians_nis", *given, **options)
+
+    def log_bayes_factor(self, *given: Any) -> float:
+        return self._number("log_bayes_factor", *given)
+
+    def copy(self) -> Self:
+        """One that stands for a copy of the filter."""
+        return replace(self, inner=self.inner.copy())
+
+    def _arrays(self, name: str, given: tuple[Any, ...], *shapes: tuple[int, ...]) -> tuple[Array, ...]:
+        answer = getattr(self.inner, name)(*given)
+        parts: tuple[Array, ...] = answer if isinstance(answer, tuple) else (answer,)
+        found = [f"{part.dtype} {part.shape}" if isinstance(part, np.ndarray) else shown(part) for part in parts]
+        expected = [f"float64 {shape}" for shape in shapes]
+        if found != expected:
+            said = f"{', '.join(found)}; {', '.join(expected)} expected"
+            raise AnswerError(f"{type(self.inner).__name__}.{name}: {said}")
+        return parts
+
+    def _number(self, name: str, *given: Any, **options: Any) -> float:
+        answer = getattr(self.inner, name)(*given, **options)
+        if not isinstance(answer, float | int | np.floating | np.integer):
+            raise AnswerError(f"{type(self.inner).__name__}.{name}: {shown(answer)}, a number expected")
+        return float(answer)
+
+    def __getattr__(self, name: str) -> Any:
+        if name in self.__slots__ or name.startswith("__"):  # absent while a copy is made
+            raise AttributeError(name)
+        return getattr(self.inner, name)
 
 
 class BegunStep:
@@ -118,13 +195,26 @@ def check_polygons(name: str, found: Any, corners: int) -> None:
     for polygon in found:
         require_arrays(polygon, {"corners": IDS}, np.shape(polygon.corners)[:1], where, ConfigError)
         require_arrays(polygon, {"intervals": FLOATS}, (*np.shape(polygon.intervals)[:1], 4), where, ConfigError)
-        ring, edges = polygon.corners.tolist(), polygon.intervals[:, 0]
-        if len(ring) < 3 or len(set(ring)) < len(ring) or not set(ring) <= set(range(corners)):
-            raise ConfigError(f"{where}: corners {shown(ring)}, three or more different ones of {corners} expected")
-        if not ((edges >= 0) & (edges < len(ring))).all():
-            raise ConfigError(
-                f"{where}: intervals of edges {shown(edges.tolist())}, from 0 to {len(ring) - 1} expected"
-            )
+        _check_ring(polygon.corners.tolist(), corners, where)
+        _check_intervals(polygon.intervals, len(polygon.corners), where)
+
+
+def _check_ring(ring: list[int], corners: int, where: str) -> None:
+    """Raise `ConfigError` unless a polygon has three or more of so many corners, which are in order of bearing."""
+    if len(ring) < 3 or len(set(ring)) < len(ring) or not set(ring) <= set(range(corners)):
+        raise ConfigError(f"{where}: corners {shown(ring)}, three or more different ones of {corners} expected")
+    if ring != sorted(ring):
+        raise ConfigError(f"{where}: corners {shown(ring)}, counter-clockwise from the smallest expected")
+
+
+def _check_intervals(intervals: Array, edges: int, where: str) -> None:
+    """Raise `ConfigError` unless intervals (m,4) are of so many edges, in their order, and each has a label."""
+    edge, begin, end, label = intervals.T
+    if not np.isin(edge, np.arange(edges)).all() or not (np.diff(edge) >= 0.0).all():
+        expected = f"whole numbers from 0 to {edges - 1}, ascending, expected"
+        raise ConfigError(f"{where}: intervals of edges {shown(edge.tolist())}, {expected}")
+    if not ((begin >= 0.0) & (begin < end) & (end <= 1.0) & np.isin(label, list(EdgeLabel))).all():
+        raise ConfigError(f"{where}: intervals {shown(intervals.tolist())}, shares and an EdgeLabel expected")
 
 
 def check_belief(belief: Belief, landmarks: Ints, after: str) -> Belief:

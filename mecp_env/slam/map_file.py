@@ -32,7 +32,7 @@ from mecp_env.core.snapshot_check import (
 )
 from mecp_env.core.snapshot_file import FileKind, load_snapshot, save_snapshot
 from mecp_env.slam.association.oracle import NoCorrespondences, OracleAssociator
-from mecp_env.slam.config import SlamConfig
+from mecp_env.slam.config import GridConfig, SlamConfig
 from mecp_env.slam.filters.core import LandmarkFilter
 from mecp_env.slam.filters.mounting import mount
 from mecp_env.slam.filters.oracle import OraclePoseFilter
@@ -117,7 +117,9 @@ def check_pipeline(pipeline: Any, where: str) -> dict[str, int]:
     check_polygons(pipeline.map.polygons, f"{where}.map.polygons")
     if isinstance(pipeline.filter, LandmarkFilter):  # a custom filter stores what it likes
         check_filter(pipeline.filter, len(rows), marks_of(pipeline, where), f"{where}.filter")
-    check_grid(pipeline.grid, pipeline.config.grid.resolution_m, f"{where}.grid")
+    check_grid(pipeline.grid, pipeline.config.grid, len(rows), f"{where}.grid")
+    doors = pipeline.rooms.door_map
+    check_declared(np.array([*doors.row.values()], np.int64), "n in 0:d", {"d": len(doors.doors)}, f"{where}.doors.row")
     return {"F": len(rows), "P": len(pipeline.map.polygons.polygons)}
 
 
@@ -137,10 +139,14 @@ def check_polygons(store: Any, where: str) -> None:
         raise StateError(f"{where}.polygons: one of fewer than three vertices")
 
 
-def check_grid(grid: Any, resolution_m: float, where: str) -> None:
+def check_grid(grid: Any, config: GridConfig, features: int, where: str) -> None:
     """Raise `StateError` unless cells are of the configured size, completed rooms can be, and layers are consistent."""
-    if {grid.canvas.resolution_m, grid.canvas.grid.resolution_m} != {resolution_m}:
-        raise StateError(f"{where}.canvas.resolution_m: {grid.canvas.resolution_m!r}, configured {resolution_m}")
+    if {grid.canvas.resolution_m, grid.canvas.grid.resolution_m} != {config.resolution_m}:
+        raise StateError(f"{where}.canvas.resolution_m: {grid.canvas.resolution_m!r}, configured {config.resolution_m}")
+    if any(part.config != config for part in (grid, grid.scans, grid.doors)):
+        raise StateError(f"{where}: a layer of another configuration")
+    painted = np.array([i for ids in grid.polygons.painted for i in ids], np.int64)
+    check_declared(painted, "n in 0:F", {"F": features}, f"{where}.polygons.painted")
     check_declared(np.array(grid.completed + grid.filled), "n in 0:32768", {}, f"{where}.completed")
     check_layers(grid, where)
 
@@ -151,6 +157,8 @@ def check_layers(grid: Any, where: str) -> None:
         raise StateError(f"{where}.polygons.painted: a ring of another number of vertices")
     if any(len(polygon.ids) < 3 for polygon in grid.polygons.waiting):
         raise StateError(f"{where}.polygons.waiting: one of fewer than three vertices")
+    if len(grid.doors.key) != len(grid.doors.quads):
+        raise StateError(f"{where}.doors.quads: {len(grid.doors.quads)} for {len(grid.doors.key)} doors")
     if not np.nanmax(np.abs(grid.doors.quads), initial=0.0) < FAR:
         raise StateError(f"{where}.doors.quads: expected places nearer than {FAR} m")
 

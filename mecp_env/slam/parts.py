@@ -6,15 +6,24 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from os import PathLike
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, Self, cast
 
 import numpy as np
 
 from mecp_env.core.carriers import Array, Ints
 from mecp_env.slam.association import Associator, make_associator
-from mecp_env.slam.checks import check_match
+from mecp_env.slam.checks import MatchError, check_match
 from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.custom import BegunStep, UndoneOnError, check_belief, check_custom_match, check_part, is_ours
+from mecp_env.slam.custom import (
+    BegunStep,
+    CheckedFilter,
+    UndoneOnError,
+    check_belief,
+    check_custom_match,
+    check_part,
+    is_ours,
+    unchanged,
+)
 from mecp_env.slam.filters import Filter, FilterError, make_filter
 from mecp_env.slam.filters.mounting import mount, robot_belief, robot_joint
 from mecp_env.slam.filters.window import Divergence
@@ -23,7 +32,7 @@ from mecp_env.slam.landmark_map import LandmarkMap
 from mecp_env.slam.landmark_map.dynamic_objects import DynamicObjects, make_dynamic_objects
 from mecp_env.slam.localisation import PoseGuard
 from mecp_env.slam.map_file import MapStart, SlamMap, begin
-from mecp_env.slam.messages import Belief, Corners, FeatureState, Match, Polygon, ScanFeatures
+from mecp_env.slam.messages import NO_ID, Belief, Corners, FeatureState, MapView, Match, Polygon, ScanFeatures
 from mecp_env.slam.panorama import RecentScans
 from mecp_env.slam.rooms import RoomGraphEstimator
 from mecp_env.slam.rooms.doors import RoomLimits
@@ -113,13 +122,17 @@ class SlamParts:
         """Correct the prediction by the window of recent scans; True when a scan agrees with them."""
         with self.divergence:
             most = 0.25 * self.guard.slack()  # odometry that has failed is off by all that it reported, two sigmas
-            return self.recent.register(scan, self.filter, self.guard.update, most, lost=not self.guard.localised)
+            return self.recent.register(scan, self.asked, self.guard.update, most, lost=not self.guard.localised)
         return False
+
+    @property
+    def is_ours(self) -> bool:
+        """True without a custom part, which might raise an error in the middle of a step."""
+        return is_ours(self.associator) and is_ours(self.filter) and self.config.polygon.is_ours
 
     def begin_step(self) -> BegunStep:
         """Count a step; a context in which an error of custom parts changes nothing, to be left before painting."""
-        ours = is_ours(self.associator) and is_ours(self.filter)
-        begun = BegunStep() if ours and self.config.polygon.is_ours else UndoneOnError(self)
+        begun = BegunStep() if self.is_ours else UndoneOnError(self)
         self.step_count += 1
         return begun
 
@@ -128,6 +141,14 @@ class SlamParts:
         belief = self.filter.belief() if belief is None else belief
         return belief if is_ours(self.filter) else self._sound(belief, self.filter, after)
 
+    def watched(self) -> Belief:
+        """What the filter believes; too large a sigma is a divergence, but where the pose is known to be unsure.
+
+        The robot then maps on from where it was lost, and its sigma is what odometry may have been wrong by.
+        """
+        belief = self.filter.belief()
+        return belief if self.guard.unsure_from != NO_ID else self.divergence.watch(belief)
+
     def correct(self, z: Array, R: Array, ids: Ints, iterate: bool) -> None:
         """Update the filter; a custom one that is unsound then stays as it was. Raises `FilterError`."""
         if is_ours(self.filter):
@@ -135,7 +156,7 @@ class SlamParts:
             return
         tried = self.filter.copy()
         try:
-            self.guard.update(tried, z, R, ids, iterate)
+            self.guard.update(cast("Filter", CheckedFilter(tried)), z, R, ids, iterate)
         except np.linalg.LinAlgError as error:
             raise FilterError(f"{type(tried).__name__}.update: {error}") from error
         self._sound(tried.belief(), tried, "update")
@@ -145,11 +166,24 @@ class SlamParts:
         landmarks = np.flatnonzero(self.map.features.rows["state"] == FeatureState.LANDMARK)
         return check_belief(belief, landmarks, f"{type(estimate).__name__}.{after}")
 
-    def check_match(self, match: Match, corners: Corners, polygons: tuple[Polygon, ...]) -> None:
-        """Raise `MatchError` for a match of a custom associator that is unsound, or names what is not there."""
-        if not is_ours(self.associator):
+    @property
+    def asked(self) -> Filter:
+        """The filter; a custom one is asked through a check of its answers."""
+        return self.filter if is_ours(self.filter) else cast("Filter", CheckedFilter(self.filter))
+
+    def ask_associator(self, corners: Corners, polygons: tuple[Polygon, ...], view: MapView) -> Match:
+        """Its match. Raises `MatchError` for one of a custom associator that is unsound, or names what is not there."""
+        if is_ours(self.associator):
+            return self.associator.associate(corners, polygons, view, self.asked)
+        name = f"{type(self.associator).__name__}.associate"
+        with unchanged(self.associator, corners=corners, belief=view.belief, features=view.features):
+            match = self.associator.associate(corners, polygons, view, self.asked.copy())
+        try:
             check_match(match, len(corners), len(self.map.features))
             check_custom_match(match, self.map.features, len(polygons), len(self.map.polygons.polygons))
+        except MatchError as error:
+            raise MatchError(f"{name}: {error}") from None
+        return match
 
     def visible_landmarks(self, p_map: Array) -> Ints:
         """Ids of the landmarks visible from `p_map` (2,), by eq. 1: every vertex of a polygon around it."""

@@ -58,7 +58,7 @@ class SlamPipeline(SlamParts):
             around = around.with_polygons(find_structure(*around.place, self.config.polygon, around.wall))  # III-A.2
             view = self.map.view(predicted, graph, around.widen_column(through), self.step_count, around.past)
             associated, updated, evidence = self._localise(around, view, tracked)  # III-B
-            belief, still = self.divergence.watch(self.filter.belief()), None
+            belief, still = self.watched(), None
             if self.guard.trusts(evidence.followed(tracked, self.recent.vouched)):
                 seen = Sighting(corners, updated, through, belief, self.step_count)
                 match, belief, still = self._map_scan(around, seen, evidence.sharp)  # III-B.1
@@ -125,9 +125,7 @@ class SlamPipeline(SlamParts):
         if not self.guard.localised:
             return ignored(len(around.scan.corners), Reason.NOT_LOCALISED)
         with self.divergence:
-            of_all = self.associator.associate(around.corners, around.polygons, view, self.filter)
-            self.check_match(of_all, around.corners, around.polygons)
-            return around.narrow(of_all)
+            return around.narrow(self.ask_associator(around.corners, around.polygons, view))
         return ignored(len(around.scan.corners), Reason.NOT_LOCALISED)
 
     def _update(self, corners: Corners, match: Match, iterate: bool) -> Match:

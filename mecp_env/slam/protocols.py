@@ -18,6 +18,10 @@ class FilterError(MecpError):
     """An id the filter does not know, a wrong shape, or a covariance that is no longer positive."""
 
 
+class AnswerError(FilterError):
+    """A custom filter has answered with something of another type or shape: a mistake in it, no divergence."""
+
+
 class FullFilterWarning(UserWarning):
     """The filter holds `max_landmarks`, and drops new ones from now on."""
 

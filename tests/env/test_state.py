@@ -73,7 +73,8 @@ def test_set_state_names_the_field_that_is_damaged_and_changes_nothing():
 def test_a_door_that_a_wall_fills_is_part_of_a_state():
     """Its outline is nan: such a state was refused once."""
     env = started()
-    episode_of(env).pipeline.grid.doors.quads = np.full((1, 4, 2), np.nan)
+    doors = episode_of(env).pipeline.grid.doors
+    doors.key, doors.quads = ((0, (1, 2), None),), np.full((1, 4, 2), np.nan)
     state = env.get_state()
     env.set_state(state)
     assert same(env.get_state(), state)

@@ -8,6 +8,7 @@ import pytest
 
 from mecp_env.core.se2 import between
 from mecp_env.logs import Log, read_log
+from mecp_env.logs.assemble import repeated
 from mecp_env.logs.odometry_model import OdometryModel
 from mecp_env.logs.registration import bridged, with_ends
 from tests.logs.calibrated import simulated_log
@@ -36,6 +37,20 @@ def test_odometry_that_stands_still_while_the_robot_drives(log: Log) -> None:
     frozen = log.T_odom_robot.copy()
     frozen[FIRST:LAST] = frozen[FIRST]  # and catches up
     check_stretch(bridged(replace(log, T_odom_robot=frozen), log.t), log)
+
+
+def test_a_laser_that_hangs_while_the_robot_drives(log: Log, tmp_path: Path) -> None:
+    """Seen: eight seconds of one scan moved the path by 16 m, and nothing said so."""
+    ranges = log.ranges.copy()
+    ranges[FIRST : FIRST + 20] = ranges[FIRST]
+    arrays = {"t": log.t, "ranges": np.where(np.isfinite(ranges), ranges, np.nan), "angles": log.bearings}
+    np.savez(tmp_path / "hangs.npz", odo=log.T_odom_robot, **arrays)
+    found = read_log(tmp_path / "hangs.npz")
+    left = found.counts["scans that repeat the one before, though the robot moved, left out"]
+    assert 15 <= left < 20
+    assert len(found) == len(log) - left
+    still = np.tile(log.T_odom_robot[FIRST], (len(log), 1))
+    assert not repeated(ranges, still).any()
 
 
 def test_odometry_that_is_missing_for_a_while(log: Log) -> None:

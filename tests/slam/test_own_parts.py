@@ -1,6 +1,7 @@
 """Custom associators and filters, registered by name for every configuration (docs/own-parts.md)."""
 
 import importlib
+import math
 from contextlib import suppress
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,13 +14,14 @@ import pytest
 
 import mecp_env  # noqa: F401  (registers the environments)
 from mecp_env.core.errors import ConfigError
-from mecp_env.core.settings import load_parts
+from mecp_env.core.settings import PartsWarning, load_parts
 from mecp_env.core.snapshot import encode
 from mecp_env.evaluation.part_checks import check_associator, check_filter
+from mecp_env.policies.registry import source_of
 from mecp_env.slam import MatchError, SlamMap, landmark_map
-from mecp_env.slam.association import MecpAssociator
-from mecp_env.slam.config import SlamConfig
-from mecp_env.slam.filters import Ekf, FilterError, register_filter
+from mecp_env.slam.association import MecpAssociator, register_associator
+from mecp_env.slam.config import FilterConfig, SlamConfig
+from mecp_env.slam.filters import Ekf, FilterError, make_filter, register_filter
 from mecp_env.slam.mecp import register_structure
 from mecp_env.slam.messages import Decision, FeatureState
 from mecp_env.slam.pipeline import SlamPipeline
@@ -68,6 +70,11 @@ def damaged(match: Any, view: Any, kind: str) -> Any:
     if kind == "track":
         track = np.flatnonzero(view.features.rows["state"] != FeatureState.LANDMARK)[0]
         return match.assign(0, track, int(Decision.LANDMARK), 0)
+    if kind == "ignored":
+        return replace(match, decision=np.full(len(match.ids), int(Decision.IGNORED)), ids=np.full(len(match.ids), 3))
+    if kind == "writes":
+        view.features.rows["seen"] += 1
+        return match
     if kind == "raises":
         raise KeyError(kind)
     return replace(match, **{kind: 77})
@@ -78,7 +85,9 @@ def damaged(match: Any, view: Any, kind: str) -> Any:
     [
         ("twice", MatchError, "each landmark at most once"),
         ("track", MatchError, r"match.ids\[0\]: \d+ is a track, or removed"),
-        ("polygon", MatchError, "match.polygon: 77, a number from -1"),
+        ("polygon", MatchError, "Given.associate: match.polygon: 77, a number from -1"),
+        ("ignored", MatchError, r"match.ids\[0\]: 3, -1 expected of a corner that is IGNORED"),
+        ("writes", MatchError, "Given: it wrote to features.rows, which it was given"),
         ("raises", KeyError, "raises"),
     ],
 )
@@ -152,6 +161,9 @@ def test_an_unsound_update_of_a_custom_filter_is_a_divergence(own, drive, spoil,
         ("window", lambda _, found: found._replace(state=found.state[:-2, :-2]), r"window: state .* expected"),
         ("window", lambda _, found: None, "window: NoneType, a Window expected"),
         ("predict", set_mean, "Spoilt.predict: a number is not finite"),
+        ("individual_nis", lambda _, found: found[:1], r"Spoilt.individual_nis: float64 \(1, \d+\); float64 \("),
+        ("innovation", lambda _, found: None, "Spoilt.innovation: None; float64 "),
+        ("log_bayes_factor", lambda _, found: None, "Spoilt.log_bayes_factor: None, a number expected"),
     ],
 )
 def test_an_unsound_custom_filter_is_refused_and_changes_nothing(own, drive, method, spoil, said) -> None:
@@ -162,6 +174,34 @@ def test_an_unsound_custom_filter_is_refused_and_changes_nothing(own, drive, met
     list(fed(pipeline, drive, 0, 30))
     make.on = True
     assert_refused(pipeline, drive, 30, FilterError, said)
+
+
+class Flaky(MecpAssociator):
+    """An associator that answers with nothing while it is off."""
+
+    on = True
+
+    def associate(self, *given: Any) -> Any:
+        return super().associate(*given) if Flaky.on else None
+
+
+@pytest.mark.usefixtures("own_parts")
+def test_a_refused_step_of_an_environment_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Seen: the robot drove on, and the estimator was not told."""
+    register_associator("flaky", Flaky)
+    fields = {"slam": {"association": {"method": "flaky"}}, "crowd": {"people": 2}}
+    env, other = (gym.make("mecp_env/PaperMap-v0", **fields).unwrapped for _ in range(2))
+    for one in (env, other):
+        one.reset(seed=1)
+    before = env.get_state()
+    monkeypatch.setattr(Flaky, "on", False)
+    with pytest.raises(MatchError, match=r"Flaky\.associate: match: NoneType"):
+        env.step(np.array([0.5, 0.1]))
+    after = env.get_state()
+    assert all(same(after[name], before[name]) for name in before if name != "episode")
+    monkeypatch.setattr(Flaky, "on", True)
+    first, second = (one.step(np.array([0.5, 0.1]))[0] for one in (env, other))
+    assert all(np.array_equal(first[name], second[name]) for name in first)
 
 
 def fail(self: Any, _: Any) -> None:
@@ -195,7 +235,10 @@ def test_a_filter_that_fails_while_the_map_grows_changes_nothing(own, drive, met
         (None, "gave None, a tuple of Polygon expected"),
         ((polygon([0, 1, 99]),), r"corners \[0, 1, 99\], three or more different ones of"),
         ((replace(polygon([0, 1, 2]), corners=np.zeros(3)),), "corners: an array of float64, one of int64 expected"),
-        ((polygon([0, 1, 2], np.full((1, 4), 3.0)),), r"intervals of edges \[3.0\], from 0 to 2 expected"),
+        ((polygon([0, 2, 1]),), r"corners \[0, 2, 1\], counter-clockwise from the smallest expected"),
+        ((polygon([0, 1, 2], np.full((1, 4), 3.0)),), r"edges \[3.0\], whole numbers from 0 to 2, ascending, expected"),
+        ((polygon([0, 1, 2], np.array([[0.0, 0.0, 1.0, 9.0]])),), "shares and an EdgeLabel expected"),
+        ((polygon([0, 1, 2], np.array([[0.0, math.nan, 1.0, 0.0]])),), "shares and an EdgeLabel expected"),
     ],
 )
 def test_a_wrong_polygon_of_a_custom_structure_changes_nothing(own_parts, drive, found, said) -> None:
@@ -222,9 +265,17 @@ def test_what_cannot_be_registered_or_is_not_is_named() -> None:
 
 
 ANNOUNCED = """
+from types import SimpleNamespace
+
+from mecp_env.episode.buildings import register_buildings
+from mecp_env.episode.potentials import register_reward
+from mecp_env.policies.registry import register_policy
 from mecp_env.slam.association import MecpAssociator, register_associator
 
 register_associator("announced", type("Announced", (MecpAssociator,), {}))
+register_buildings("announced", lambda: SimpleNamespace(count=1, layout=lambda _: "two_rooms"))
+register_policy("announced", "mecp_env.policies.explorers:Nearest")
+register_reward("announced", lambda inputs: 0.0)
 """
 
 
@@ -235,8 +286,17 @@ def test_an_installed_package_announces_its_parts(own_parts: Path, monkeypatch: 
     (package / "entry_points.txt").write_text("[mecp_env.parts]\nannounced = announced_parts\n")
     monkeypatch.syspath_prepend(own_parts)
     load_parts.cache_clear()
-    with pytest.raises(ConfigError, match="announced = 'announced_parts' cannot be loaded"):
-        SlamConfig.parse({"association": {"method": "announced"}})
+    known, warned = (
+        r"Input should be 'mecp', .* or 'known'; did you mean",
+        r"announced: its mecp_env\.parts are left",
+    )
+    with pytest.warns(PartsWarning, match=warned), pytest.raises(ConfigError, match=known):
+        SlamConfig.parse({"association": {"method": "nearst"}})
+    assert make_filter(FilterConfig(kind="fej")).update_iterations > 1
     (own_parts / "announced_parts.py").write_text(ANNOUNCED)
+    load_parts.cache_clear()
     assert type(SlamPipeline({"association": {"method": "announced"}}).associator).__name__ == "Announced"
+    assert source_of("announced") == "mecp_env.policies.explorers:Nearest"
+    fields = {"reward": {"custom": {"announced": 1.0}}, "layout": {"announced": {}}}
+    assert gym.make("mecp_env/Layout-v0", **fields).reset(seed=0)[1]["building"] == 0
     load_parts.cache_clear()

@@ -31,7 +31,7 @@ from mecp_env.slam.filters.models import (
 )
 from mecp_env.slam.filters.update import gauss_newton, take, world_belief
 from mecp_env.slam.messages import NO_ID, Belief, find_rows
-from mecp_env.slam.protocols import Filter, FilterError
+from mecp_env.slam.protocols import AnswerError, Filter, FilterError
 
 log = logging.getLogger(__name__)
 
@@ -227,7 +227,7 @@ class Divergence:
         pass
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> bool:
-        failed = isinstance(error, FilterError)
+        failed = isinstance(error, FilterError) and not isinstance(error, AnswerError)
         if failed and not self.found:
             log.warning("mecp_env: the filter diverged: %s", error)
         self.found |= failed

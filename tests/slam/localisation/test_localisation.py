@@ -217,6 +217,16 @@ def test_a_search_ends_where_the_map_has_too_few_landmarks_for_it(guard, landmar
     assert sigma_m == pytest.approx(CONFIG.inlier_m if ends else 0.0, abs=2e-3)  # odometry may have failed by so much
 
 
+@pytest.mark.parametrize(("unsure_from", "diverged"), [(NO_ID, True), (7, False)])
+def test_a_pose_that_is_known_to_be_unsure_has_not_diverged(unsure_from: int, diverged: bool):
+    """Seen: a robot lost for five metres of corridor mapped on, loosened by as much, and this was a divergence."""
+    pipeline = SlamPipeline()
+    pipeline.guard.unsure_from = unsure_from
+    pipeline.filter.loosen(np.diag([36.0, 36.0, 0.1]))
+    assert pipeline.watched().pose_cov[0, 0] > 36.0
+    assert pipeline.divergence.found == diverged
+
+
 def test_after_some_way_on_unmapped_floor_mapping_goes_on_and_is_marked_until_the_loop_is_closed(guard):
     estimate = filter_with(9)
     guard.lose()
