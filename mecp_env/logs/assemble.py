@@ -130,8 +130,9 @@ def _hanging(recording: Recording, ranges: Array, T_odom: Array) -> Bools:
 
 
 def repeated(ranges: Array, T_odom: Array) -> Bools:
-    """(n,) true for scans (n,B), two or more, that equal the one before, though the robot has moved: the laser hangs."""
-    same = np.append(False, ((ranges[1:] == ranges[:-1]) | np.isnan(ranges[1:] + ranges[:-1])).all(axis=1))
+    """(n,) true for scans (n,B), two or more, that equal the one before, though the robot moved: the laser hangs."""
+    equal = (ranges[1:] == ranges[:-1]) | (np.isnan(ranges[1:]) & np.isnan(ranges[:-1]))
+    same = np.append(False, equal.all(axis=1))
     first = np.maximum.accumulate(np.where(same, 0, np.arange(len(same))))
     x, y, heading = np.abs(between(T_odom[first], T_odom)).T
     moved: Bools = (np.hypot(x, y) > FIXED_M) | (heading > FIXED_RAD)
