@@ -28,7 +28,7 @@ from pydantic import (
 from mecp_env.core.carriers import Rows, row_type
 from mecp_env.core.errors import ConfigError
 
-PARTS = "mecp_env.parts"  # the group of entry points
+PARTS = "mecp_env"  # the group of entry points
 MOST_FIELDS = 200  # of a part of an untrusted document
 MOST_TOLD = 8  # wrong fields that one message tells of
 NUMBERS = {int, float, type(None), tuple, ...}  # the kinds of fields that are numbers and ranges of them
@@ -250,7 +250,7 @@ class PartsWarning(UserWarning):
 
 @cache
 def load_parts() -> None:
-    """Import what installed packages announce in the group of entry points `mecp_env.parts`: modules that register
+    """Import what installed packages announce in the group of entry points `mecp_env`: modules that register
     names. One that cannot be imported is reported by a `PartsWarning`, and left out.
     """
     for package in distributions():
@@ -260,7 +260,9 @@ def load_parts() -> None:
         except (Exception, SystemExit) as error:  # code of others may raise anything
             reason = f"{type(error).__name__}: {error}"
             warnings.warn(
-                f"{package.metadata['Name']}: its {PARTS} are left out ({reason})", PartsWarning, stacklevel=2
+                f"{package.metadata['Name']}: its entry points for {PARTS} are left out ({reason})",
+                PartsWarning,
+                stacklevel=2,
             )
 
 

@@ -1,6 +1,6 @@
 """Rivals of the parts of the estimator, and the paper's own, for comparison only; nothing else imports them.
 
-They are parts of an installed package, as those of anybody else: an entry point in the group `mecp_env.parts` names
+They are parts of an installed package, as those of anybody else: an entry point in the group `mecp_env` names
 this module, which is imported when a configuration names one of them.
 """
 

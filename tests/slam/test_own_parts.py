@@ -283,12 +283,12 @@ def test_an_installed_package_announces_its_parts(own_parts: Path, monkeypatch: 
     package = own_parts / "announced-1.0.dist-info"
     package.mkdir()
     (package / "METADATA").write_text("Metadata-Version: 2.1\nName: announced\nVersion: 1.0\n")
-    (package / "entry_points.txt").write_text("[mecp_env.parts]\nannounced = announced_parts\n")
+    (package / "entry_points.txt").write_text("[mecp_env]\nannounced = announced_parts\n")
     monkeypatch.syspath_prepend(own_parts)
     load_parts.cache_clear()
     known, warned = (
         r"Input should be 'mecp', .* or 'known'; did you mean",
-        r"announced: its mecp_env\.parts are left",
+        r"announced: its entry points for mecp_env",
     )
     with pytest.warns(PartsWarning, match=warned), pytest.raises(ConfigError, match=known):
         SlamConfig.parse({"association": {"method": "nearst"}})
