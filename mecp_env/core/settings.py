@@ -257,7 +257,7 @@ def load_parts() -> None:
         try:
             for module in package.entry_points.select(group=PARTS):
                 module.load()
-        except (Exception, SystemExit) as error:  # code of others may raise anything
+        except (Exception, SystemExit) as error:  # custom code may raise anything
             reason = f"{type(error).__name__}: {error}"
             warnings.warn(
                 f"{package.metadata['Name']}: its entry points for {PARTS} are left out ({reason})",

@@ -266,8 +266,6 @@ class FilterConfig(Settings):
 class LocalisationConfig(Settings):
     """A wrong pose is noticed, and the right one found again without a prior; paper: none."""
 
-    DERIVED: ClassVar = ("sure",)
-
     explained_share: float = Field(0.65, ge=0.0, lt=1.0)  # of the beams in mapped space, and of all, at least; of the
     # corners, too, where failed odometry does not explain the pose; 0: never
     scans: int = Field(2, ge=1, le=1000)  # in a row that contradict the map, before the pose is searched for; that

@@ -69,7 +69,7 @@ class Filter(Protocol):
         """Least joint cost of the pairing over pose and landmarks (2n degrees of freedom); iterated as `update`."""
 
     def log_bayes_factor(self, z: Array, R: Array, ids: Ints, pose_cov: Array) -> float:
-        """Twice the log of p(pairs | the pose has a covariance (3,3) of x, y, heading more) / p(pairs | as it is)."""
+        """Twice the log of p(pairs | a positive covariance (3,3) of x, y, heading more) / p(pairs | as it is)."""
 
     def mean_of_gaussians_nis(self, z: Array, R: Array, ids: Ints, paper_S: bool = False) -> float:
         """NIS (2 degrees of freedom) of the centre of the points z (k,2) against the landmarks' (eq. 2, 3)."""

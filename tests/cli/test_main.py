@@ -117,6 +117,14 @@ def test_a_demo_whose_reader_is_gone_keeps_its_files(tmp_path: Path, capsys: Sai
     assert not capsys.readouterr().err
 
 
+def test_an_evaluation_whose_reader_is_gone_is_completed(tmp_path: Path) -> None:
+    """`evaluate 2>&1 | head -2` once ended at the third line of its progress."""
+    line = ["evaluate", "nearest", "--layout", "two_rooms", "--episodes", "3", "--no-truth", "--max-steps", "5"]
+    with closed_pipe():
+        assert cli.main([*line, "--out", str(tmp_path)]) == 0
+    assert (tmp_path / "results.json").exists()
+
+
 @pytest.fixture(scope="module")
 def explored() -> Run:
     run = Run(MecpEnv(EnvConfig.build(layout="two_rooms", max_steps=40)), seed=3)
